@@ -1,0 +1,36 @@
+"""regtorch: registers one uncalibrated radiograph to one CT, nine degrees of freedom.
+
+The names below are loaded when first used, so that ``import regtorch`` alone costs nothing.
+"""
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Detector": "regtorch.geometry",
+    "Radiograph": "regtorch.imaging",
+    "Registration": "regtorch.registration",
+    "RegtorchError": "regtorch.errors",
+    "Volume": "regtorch.imaging",
+    "evaluate": "regtorch.evaluation",
+    "make_phantom": "regtorch.phantom",
+    "read_radiograph": "regtorch.imaging",
+    "read_volume": "regtorch.imaging",
+    "register": "regtorch.registration",
+    "render": "regtorch.drr",
+    "simulate": "regtorch.simulation",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'regtorch' has no attribute '{name}'")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,39 @@
+"""The nine parameters, views, projection matrices and cone-beam rays."""
+
+from regtorch.geometry.detector import Detector
+from regtorch.geometry.parameters import (
+    KEYS,
+    NAMES,
+    free_indices,
+    parameters_from_dict,
+    parameters_to_dict,
+)
+from regtorch.geometry.projection import (
+    parameters_from_matrix,
+    pixel_from_patient,
+    pixel_from_world,
+    project,
+    world_from_ct,
+)
+from regtorch.geometry.rays import cone_beam_rays
+from regtorch.geometry.rotation import euler_from_rotation, rotation_from_euler
+from regtorch.geometry.views import VIEWS, world_from_patient_axes
+
+__all__ = [
+    "KEYS",
+    "NAMES",
+    "VIEWS",
+    "Detector",
+    "cone_beam_rays",
+    "euler_from_rotation",
+    "free_indices",
+    "parameters_from_dict",
+    "parameters_from_matrix",
+    "parameters_to_dict",
+    "pixel_from_patient",
+    "pixel_from_world",
+    "project",
+    "rotation_from_euler",
+    "world_from_ct",
+    "world_from_patient_axes",
+]

@@ -1,0 +1,55 @@
+"""The CT: a grid of values with its place in the patient."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.errors import RegtorchError
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Voxel values ``data[k, j, i]`` and where voxel (i, j, k) lies in the patient.
+
+    ``patient_from_voxel`` (float64, CPU) maps (i, j, k, 1) to LPS millimetres; its axes are orthogonal.
+    ``origin_patient_mm`` is the origin of the ``ct`` frame, the centre of the CT as stored in its file: cropping and
+    coarsening leave it where it is, so that the nine parameters keep their meaning.
+    ``unit`` is ``"HU"`` or, after ``attenuation``, ``"per_mm"``. ``name`` says in messages where it came from.
+    """
+
+    data: Float[Tensor, "d h w"]
+    patient_from_voxel: Float[Tensor, "4 4"]
+    origin_patient_mm: Float[Tensor, "3"]
+    unit: Literal["HU", "per_mm"] = "HU"
+    name: str = "volume"
+
+    @classmethod
+    def from_grid(
+        cls, data: Float[Tensor, "d h w"], patient_from_voxel: Float[Tensor, "4 4"], name: str = "volume"
+    ) -> "Volume":
+        """A whole CT in HU, whose centre becomes the origin of its ``ct`` frame."""
+        patient_from_voxel = patient_from_voxel.double()
+        last = torch.tensor([n - 1.0 for n in reversed(data.shape)], dtype=torch.float64)
+        origin = patient_from_voxel[:3, :3] @ (last / 2) + patient_from_voxel[:3, 3]
+        return cls(data, patient_from_voxel, origin, "HU", name)
+
+    @property
+    def spacing_mm(self) -> Float[Tensor, "3"]:
+        """Voxel size along i, j, k."""
+        return self.patient_from_voxel[:3, :3].norm(dim=0)
+
+    @property
+    def voxel_from_ct(self) -> Float[Tensor, "4 4"]:
+        """From mm about the centre of the CT, along patient axes, to (i, j, k)."""
+        patient_from_ct = torch.eye(4, dtype=torch.float64)
+        patient_from_ct[:3, 3] = self.origin_patient_mm
+        return torch.linalg.inv(self.patient_from_voxel) @ patient_from_ct
+
+    def with_data(self, data: Float[Tensor, "d h w"], **changes: object) -> "Volume":
+        """The same grid with other values."""
+        if data.shape != self.data.shape:
+            raise RegtorchError(f"{self.name}: values of shape {tuple(data.shape)}, expected {tuple(self.data.shape)}")
+        return replace(self, data=data, **changes)
