@@ -1,0 +1,25 @@
+"""CT and radiograph: in and out of files, made into what the registration compares, checked."""
+
+from regtorch.imaging.attenuation import attenuation, crop_to_anatomy
+from regtorch.imaging.averaging import coarsen
+from regtorch.imaging.checks import check_radiograph, check_volume
+from regtorch.imaging.radiograph import Radiograph, level
+from regtorch.imaging.radiograph_files import read_radiograph
+from regtorch.imaging.radiograph_writer import write_radiograph
+from regtorch.imaging.volume import Volume
+from regtorch.imaging.volume_files import read_volume, write_volume
+
+__all__ = [
+    "Radiograph",
+    "Volume",
+    "attenuation",
+    "check_radiograph",
+    "check_volume",
+    "coarsen",
+    "crop_to_anatomy",
+    "level",
+    "read_radiograph",
+    "read_volume",
+    "write_radiograph",
+    "write_volume",
+]

@@ -18,6 +18,7 @@ class Volume:
     ``origin_patient_mm`` is the origin of the ``ct`` frame, the centre of the CT as stored in its file: cropping and
     coarsening leave it where it is, so that the nine parameters keep their meaning.
     ``unit`` is ``"HU"`` or, after ``attenuation``, ``"per_mm"``. ``name`` says in messages where it came from.
+    ``slice_thickness_mm`` is what a DICOM series says of its slices, which may be thinner than their distance.
     """
 
     data: Float[Tensor, "d h w"]
@@ -25,16 +26,21 @@ class Volume:
     origin_patient_mm: Float[Tensor, "3"]
     unit: Literal["HU", "per_mm"] = "HU"
     name: str = "volume"
+    slice_thickness_mm: float | None = None
 
     @classmethod
     def from_grid(
-        cls, data: Float[Tensor, "d h w"], patient_from_voxel: Float[Tensor, "4 4"], name: str = "volume"
+        cls,
+        data: Float[Tensor, "d h w"],
+        patient_from_voxel: Float[Tensor, "4 4"],
+        name: str = "volume",
+        slice_thickness_mm: float | None = None,
     ) -> "Volume":
         """A whole CT in HU, whose centre becomes the origin of its ``ct`` frame."""
         patient_from_voxel = patient_from_voxel.double()
         last = torch.tensor([n - 1.0 for n in reversed(data.shape)], dtype=torch.float64)
         origin = patient_from_voxel[:3, :3] @ (last / 2) + patient_from_voxel[:3, 3]
-        return cls(data, patient_from_voxel, origin, "HU", name)
+        return cls(data, patient_from_voxel, origin, "HU", name, slice_thickness_mm)
 
     @property
     def spacing_mm(self) -> Float[Tensor, "3"]:
@@ -53,3 +59,7 @@ class Volume:
         if data.shape != self.data.shape:
             raise RegtorchError(f"{self.name}: values of shape {tuple(data.shape)}, expected {tuple(self.data.shape)}")
         return replace(self, data=data, **changes)
+
+    def on_grid(self, data: Float[Tensor, "d h w"], patient_from_voxel: Float[Tensor, "4 4"]) -> "Volume":
+        """Values on another grid in the same patient; the origin of the ``ct`` frame stays."""
+        return replace(self, data=data, patient_from_voxel=patient_from_voxel)

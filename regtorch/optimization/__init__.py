@@ -1,0 +1,8 @@
+"""Derivative-free search of many starts at once. Knows nothing of X-rays: torch tensors in, torch tensors out."""
+
+from regtorch.optimization.cma_es import cma_es
+from regtorch.optimization.optimum import Optimum
+from regtorch.optimization.partition import kd_partition, multi_start
+from regtorch.optimization.pycma import pycma
+
+__all__ = ["Optimum", "cma_es", "kd_partition", "multi_start", "pycma"]

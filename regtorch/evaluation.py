@@ -1,0 +1,114 @@
+"""How far a registration is from the truth: projection distance error, 3D target error, parameter errors."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.errors import RegtorchError
+from regtorch.geometry import (
+    KEYS,
+    VIEWS,
+    Detector,
+    parameters_from_dict,
+    parameters_from_matrix,
+    project,
+    world_from_ct,
+)
+
+_SHARED = ("parameters", "view", "mirrored", "detector", "pixel_from_patient")
+_OWN = {"result": ("status", "similarity"), "truth": ("targets_patient_mm",)}
+
+
+def projection_distances(
+    estimated: Float[Tensor, "*b 3 4"], true: Float[Tensor, "*#b 3 4"], points_mm: Float[Tensor, "n 3"], pixel_mm: float
+) -> Float[Tensor, "*b n"]:
+    """Distance in the detector plane (mm) between the projections of each point (LPS mm) by two matrices: eq. (5).
+
+    Infinite for a point that either matrix puts behind the source.
+    """
+    distance = (project(estimated, points_mm) - project(true, points_mm)).norm(dim=-1) * pixel_mm
+    return torch.where(distance.isnan(), torch.inf, distance)
+
+
+def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
+    """Compare the contents of a ``result.json`` with those of a ``truth.json``.
+
+    Returns ``pde_mm`` (mean over the targets, in the detector plane), ``target_error_mm`` (mean distance in space
+    between where the two put a target, seen from the detector), ``targets`` (both, for each by name) and
+    ``parameter_errors`` (result less truth, mm and degrees; angles the short way round).
+    """
+    if result["view"] != truth["view"]:
+        raise RegtorchError(f"view {result['view']} of the result, expected {truth['view']} as in the truth")
+    if not _same_detector(result["detector"], truth["detector"]):
+        raise RegtorchError(f"detector {result['detector']} of the result, expected {truth['detector']} of the truth")
+    names = list(truth["targets_patient_mm"])
+    points = torch.tensor([truth["targets_patient_mm"][name] for name in names], dtype=torch.float64)
+    matrices = [torch.tensor(d["pixel_from_patient"], dtype=torch.float64) for d in (result, truth)]
+    in_plane = projection_distances(*matrices, points, truth["detector"]["pixel_mm"])
+    places = [_in_world(points, matrix, d) for matrix, d in zip(matrices, (result, truth), strict=True)]
+    in_space = (places[0] - places[1]).norm(dim=-1)
+    errors = {key: result["parameters"][key] - truth["parameters"][key] for key in KEYS}
+    return {
+        "pde_mm": float(in_plane.mean()),
+        "target_error_mm": float(in_space.mean()),
+        "targets": {
+            name: {"pde_mm": float(a), "target_error_mm": float(b)}
+            for name, a, b in zip(names, in_plane, in_space, strict=True)
+        },
+        "parameter_errors": {k: math.remainder(e, 360) if k.endswith("_deg") else e for k, e in errors.items()},
+    }
+
+
+def read_json(path: str | Path, kind: Literal["result", "truth"]) -> dict[str, Any]:
+    """The contents of a ``result.json`` or ``truth.json``; ``RegtorchError`` says what is missing or malformed."""
+    try:
+        content = json.loads(Path(path).read_text())
+    except FileNotFoundError:
+        raise RegtorchError(f"{path}: no such file, expected a {kind}.json") from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise RegtorchError(f"{path}: cannot be read as JSON ({error}), expected a {kind}.json") from None
+    if not isinstance(content, dict):
+        raise RegtorchError(f"{path}: a {type(content).__name__} at the top, expected the object of a {kind}.json")
+    if missing := [key for key in (*_SHARED, *_OWN[kind]) if key not in content]:
+        raise RegtorchError(f"{path}: no {missing[0]!r}, expected a {kind}.json with it")
+    try:
+        _check(content)
+    except (TypeError, ValueError, KeyError, AttributeError, RuntimeError) as error:
+        raise RegtorchError(f"{path}: {error}, expected the values of a {kind}.json") from None
+    return content
+
+
+def _check(content: dict[str, Any]) -> None:
+    parameters_from_dict(content["parameters"])
+    Detector(**content["detector"])
+    matrix = torch.tensor(content["pixel_from_patient"], dtype=torch.float64)
+    if matrix.shape != (3, 4):
+        raise ValueError(f"pixel_from_patient of shape {tuple(matrix.shape)}")
+    if content["view"] not in VIEWS:
+        raise ValueError(f"unknown view {content['view']!r}")
+    targets = content.get("targets_patient_mm", {"none": (0, 0, 0)})
+    if not targets or any(len(point) != 3 for point in targets.values()):
+        raise ValueError(f"targets_patient_mm {targets!r}")
+
+
+def _same_detector(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    same_grid = (one["rows"], one["columns"]) == (other["rows"], other["columns"])
+    return same_grid and math.isclose(one["pixel_mm"], other["pixel_mm"], rel_tol=1e-4)
+
+
+def _in_world(points: Float[Tensor, "n 3"], matrix: Float[Tensor, "3 4"], content: Mapping[str, Any]) -> Tensor:
+    """Where a projection matrix to stored pixels puts points (LPS mm) relative to the detector."""
+    detector = Detector(**content["detector"])
+    if content["mirrored"]:
+        flip = matrix.new_tensor([[-1, 0, detector.columns - 1], [0, 1, 0], [0, 0, 1]])
+        matrix = flip @ matrix
+    # With the patient's own origin in place of the CT's centre, the nine parameters place the patient frame itself.
+    parameters = parameters_from_matrix(matrix, detector, content["view"], points.new_zeros(3))
+    world_from_patient = world_from_ct(parameters, content["view"])
+    return points @ world_from_patient[:3, :3].mT + world_from_patient[:3, 3]

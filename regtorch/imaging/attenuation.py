@@ -1,0 +1,48 @@
+"""HU to linear attenuation, and the box of what attenuates."""
+
+import torch
+
+from regtorch.errors import RegtorchError
+from regtorch.imaging.volume import Volume
+
+AIR_HU = -1000.0
+
+
+def attenuation(volume: Volume, *, threshold_hu: float | None = 100.0, mu_water_per_mm: float = 0.02) -> Volume:
+    """mu = mu_water (1 + HU/1000) per mm, 0 from -1000 HU down (scanners pad with -3024) and below ``threshold_hu``.
+
+    ``threshold_hu`` leaves bone by default, as the paper does; None keeps everything.
+    """
+    if volume.unit != "HU":
+        raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected HU")
+    if not mu_water_per_mm > 0:
+        raise RegtorchError(f"mu_water of {mu_water_per_mm} per mm: expected a positive number")
+    data = volume.data.mul(mu_water_per_mm / -AIR_HU).add_(mu_water_per_mm).clamp_(min=0)
+    if threshold_hu is not None:
+        data.masked_fill_(volume.data < threshold_hu, 0)
+    if not bool(data.any()):
+        limit = AIR_HU if threshold_hu is None else max(threshold_hu, AIR_HU)
+        raise RegtorchError(
+            f"{volume.name}: no voxel over {limit:g} HU (the highest has {float(volume.data.max()):g} HU), "
+            "expected a CT in HU with bone in it"
+        )
+    return volume.with_data(data, unit="per_mm")
+
+
+def crop_to_anatomy(volume: Volume) -> Volume:
+    """The box of all voxels that attenuate and one voxel around it where there is one; the ``ct`` origin stays."""
+    if volume.unit != "per_mm":
+        raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected an attenuation per mm")
+    nonzero = volume.data != 0
+    box = []
+    for axis in range(3):
+        others = tuple(a for a in range(3) if a != axis)
+        found = nonzero.any(others[1]).any(others[0]).nonzero().flatten()
+        if not len(found):
+            raise RegtorchError(f"{volume.name}: nothing attenuates, expected some anatomy")
+        box.append((max(0, int(found[0]) - 1), min(volume.data.shape[axis], int(found[-1]) + 2)))
+    (k0, k1), (j0, j1), (i0, i1) = box
+    first = torch.tensor([i0, j0, k0, 1], dtype=torch.float64)
+    patient_from_voxel = volume.patient_from_voxel.clone()
+    patient_from_voxel[:, 3] = volume.patient_from_voxel @ first
+    return volume.on_grid(volume.data[k0:k1, j0:j1, i0:i1].contiguous(), patient_from_voxel)

@@ -1,0 +1,97 @@
+"""Where the beam fell: the rectangle that collimators leave, found only where it shows beyond doubt."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
+
+Box = tuple[int, int, int, int]
+"""First and last + 1 row, first and last + 1 column."""
+
+_COARSE = 256
+"""Longer side, in pixels, at which collimator edges are looked for: noise is gone, slightly turned edges still hold."""
+_SHORTEST = 64
+"""Shorter side below which a row of bone may pass for a straight edge."""
+_DEEPEST = 0.45
+"""How far in a collimator may reach, as a share of the image."""
+
+
+def exposed_field(image: Float[Tensor, "h w"]) -> Box:
+    """The exposed rectangle of a bone-bright image; all of it where no collimator is seen.
+
+    Lead lets least through, so beyond a collimator's edge the image is brighter than nearly all anatomy, along the
+    whole straight edge and out to the border. Dark borders are air and stay, unless they are one constant around a
+    filled rectangle, which is a shutter burnt in.
+    """
+    box = _burnt_in(image)
+    r0, r1, c0, c1 = box
+    inner = image[r0:r1, c0:c1]
+    rows, columns = inner.shape
+    factor = max(1.0, max(rows, columns) / _COARSE)
+    shape = (round(rows / factor), round(columns / factor))
+    if min(shape) < _SHORTEST:
+        return box
+    coarse = adaptive_avg_pool2d(inner[None, None], shape)[0, 0]
+    low, high = torch.quantile(coarse, torch.tensor([0.01, 0.99], dtype=coarse.dtype)).tolist()
+    if high <= low:
+        return box
+    coarse = (coarse - low) / (high - low)
+    found = [0, shape[0], 0, shape[1]]
+    # An edge is judged within the field that the other edges leave, so the sides are gone through until none moves.
+    for _ in range(3):
+        before = list(found)
+        for side in range(4):
+            found[side] = _edge(coarse, found, side)
+        if found == before:
+            break
+    scale = (rows / shape[0], columns / shape[1])
+    return (
+        r0 + round(found[0] * scale[0]),
+        r0 + round(found[1] * scale[0]),
+        c0 + round(found[2] * scale[1]),
+        c0 + round(found[3] * scale[1]),
+    )
+
+
+def _edge(coarse: Float[Tensor, "h w"], box: list[int], side: int) -> int:
+    """The box's bound on one side (top, bottom, left, right), moved in where a collimator is seen there."""
+    r0, r1, c0, c1 = box
+    part = coarse[:, c0:c1] if side < 2 else coarse[r0:r1].mT
+    size = len(part)
+    lo, hi = (r0, r1) if side < 2 else (c0, c1)
+    if side % 2:
+        part, lo, hi = part.flip(0), size - hi, size - lo
+    best, strongest = lo, 0.0
+    for edge in range(max(1, lo), int(size * _DEEPEST)):
+        outside, inside = part[:edge], part[edge + 2 : hi]
+        if len(inside) < 8:
+            break
+        near_out, near_in = part[max(0, edge - 2) : edge].mean(0), part[edge + 2 : edge + 4].mean(0)
+        drop = near_out - near_in
+        strength = float(drop.median())
+        if strength <= max(strongest, 0.05):
+            continue
+        straight = float((drop > 0.02).float().mean())
+        bright = float((outside.mean(0) > near_in).float().mean())
+        beyond = float(outside.median())
+        darkest, brightest = inside.quantile(torch.tensor([0.05, 0.95], dtype=inside.dtype)).tolist()
+        if min(straight, bright) > 0.85 and beyond >= max(0.85, brightest - 0.02) and brightest - darkest > 0.2:
+            best, strongest = edge + 2, strength
+    return size - best if side % 2 else best
+
+
+def _burnt_in(image: Float[Tensor, "h w"]) -> Box:
+    whole = (0, image.shape[0], 0, image.shape[1])
+    corners = image[[0, 0, -1, -1], [0, -1, 0, -1]]
+    if bool((corners != corners[0]).any()):
+        return whole
+    differs = image != corners[0]
+    rows, columns = (differs.any(dim).nonzero().flatten() for dim in (1, 0))
+    if not len(rows):
+        return whole
+    r0, r1, c0, c1 = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+    # The field of a shutter differs plainly from it all along its four sides; the shadow of a CT's box does not.
+    plain = (image - corners[0]).abs() > 0.05 * (image.max() - image.min())
+    sides = plain[r0, c0:c1], plain[r1 - 1, c0:c1], plain[r0:r1, c0], plain[r0:r1, c1 - 1]
+    filled = all(float(side.float().mean()) > 0.9 for side in sides)
+    return (r0, r1, c0, c1) if filled else whole

@@ -1,0 +1,172 @@
+"""CMA-ES for many starts at once. Hansen, The CMA Evolution Strategy: A Tutorial, arXiv 1604.00772 (equations below).
+
+All starts share the generation counter g; what differs is a row of a tensor. A start that has ended leaves the batch.
+"""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.errors import RegtorchError
+from regtorch.optimization.optimum import Optimum
+from regtorch.optimization.rows import Rows, first_rows, principal_axes
+from regtorch.optimization.start import Start, prepare
+from regtorch.optimization.stopping import Tolerances, converged, degenerate
+from regtorch.optimization.strategy import Strategy, default_strategy
+
+Objective = Callable[[Float[Tensor, "m d"]], Float[Tensor, " m"]]
+
+BLOCK = 32  # generations whose random numbers a start draws at once
+
+
+def cma_es(
+    objective: Objective,
+    start: Float[Tensor, "n d"],
+    sigma: Float[Tensor, " d"] | Float[Tensor, "n d"],
+    *,
+    lower: Float[Tensor, " d"] | None = None,
+    upper: Float[Tensor, " d"] | None = None,
+    covariance: Float[Tensor, "n d d"] | None = None,
+    population: int | None = None,
+    max_generations: int = 5000,
+    max_evaluations: int | None = None,
+    tol_fun: float = 1e-12,
+    tol_fun_hist: float = 0.0,
+    tol_x: float = 1e-12,
+    seed: int = 0,
+    streams: Sequence[int] | None = None,
+    on_generation: Callable[[int, int, Float[Tensor, " n"]], None] | None = None,
+) -> Optimum:
+    """Minimise from n starts by active CMA-ES with the tutorial's defaults, stopping rules and bounds by ``Box``.
+
+    ``objective`` gets the populations of all running starts stacked (float64, CPU) once per generation and returns
+    one cost each; a cost that is not finite counts as the worst. ``sigma`` is each parameter's first standard
+    deviation, in its own unit. ``covariance`` gives the first distribution's shape, whatever its size (that of an
+    earlier ``Optimum``, say): it is scaled until one parameter's deviation reaches its ``sigma``. ``population`` is
+    lambda, for which None is 4 + floor(3 ln d). ``max_evaluations`` is per start.
+
+    ``tol_fun``, ``tol_fun_hist`` (0: off) are in units of the cost; ``tol_x`` is relative to ``sigma``. A start ends
+    for one of: TolFun, EqualFunValues, TolFunHist, Stagnation, TolX, TolXUp, NoEffectCoord, NoEffectAxis,
+    ConditionCov (appendix B.3; TolFunHist is pycma's), MaxEvaluations, MaxGenerations.
+
+    Start i draws from the random stream ``streams[i]`` (i itself unless told) of ``seed``: its trajectory does not
+    depend, to the last digit, on which other starts run beside it. ``on_generation`` is told the generation, how many
+    starts are running, and the best cost of each start so far. Bad arguments raise ``RegtorchError``.
+    """
+    begin = prepare(start, sigma, lower, upper, covariance)
+    n, d = begin.u.shape
+    strategy = default_strategy(d, population)
+    tolerances = Tolerances(tol_fun, tol_fun_hist, tol_x)
+    limit, at_limit = max_generations, "MaxGenerations"
+    if max_evaluations is not None and max_evaluations // strategy.lam < limit:
+        limit, at_limit = max_evaluations // strategy.lam, "MaxEvaluations"
+    if limit < 1:
+        raise RegtorchError(f"a budget of {limit} generations of {strategy.lam} evaluations: expected at least one")
+    random = [_generator(seed, stream) for stream in (range(n) if streams is None else streams)]
+    if len(random) != n:
+        raise RegtorchError(f"{len(random)} random streams for {n} starts: expected one each")
+
+    rows = first_rows(begin)
+    end = Optimum(
+        begin.real(begin.u),
+        torch.full((n,), torch.inf, dtype=torch.float64),
+        torch.zeros(n, dtype=torch.int64),
+        torch.zeros(n, dtype=torch.int64),
+        (),
+        torch.empty_like(begin.u),
+        torch.empty_like(begin.shape),
+    )
+    reasons = [at_limit] * n
+    for g in range(1, limit + 1):
+        if (g - 1) % BLOCK == 0:
+            shape = (BLOCK, strategy.lam, d)
+            block = torch.stack(
+                [torch.randn(shape, generator=random[i], dtype=torch.float64) for i in rows.start.tolist()]
+            )
+        cost = _generation(objective, begin, strategy, rows, block[:, (g - 1) % BLOCK], g)
+        end.cost[rows.start] = rows.best_cost
+        if on_generation is not None:
+            on_generation(g, len(rows.start), end.cost.clone())
+        rules = converged(g, cost, rows, tolerances) | degenerate(g, rows, tolerances)
+        hits = torch.stack(list(rules.values()))
+        ended = hits.any(0) if g < limit else torch.ones_like(hits[0])
+        if not bool(ended.any()):
+            continue
+        names = list(rules)
+        for row in ended.nonzero()[:, 0].tolist():
+            if bool(hits[:, row].any()):
+                reasons[int(rows.start[row])] = names[int(hits[:, row].int().argmax())]
+        _write(end, begin, rows, ended, g, strategy.lam)
+        rows.keep(~ended)
+        block = block[~ended]
+        if len(rows.start) == 0:
+            break
+    return Optimum(end.x, end.cost, end.evaluations, end.generations, tuple(reasons), end.mean, end.covariance)
+
+
+def _generator(seed: int, stream: int) -> torch.Generator:
+    # The CPU generator takes 32 bits; so streams of one seed never coincide.
+    return torch.Generator().manual_seed((seed * 1_000_003 + stream) % 2**32)
+
+
+def _generation(
+    objective: Objective, begin: Start, s: Strategy, rows: Rows, z: Float[Tensor, "a lam d"], g: int
+) -> Float[Tensor, "a lam"]:
+    """Sample, evaluate, select and adapt once, in place; returns the costs, lowest first.
+
+    Sums of products instead of matrix products: the last digits of those depend on a matrix's place in the batch, and
+    for matrices this small their threads cost more than they save.
+    """
+    a, lam, d = z.shape
+    scaled = z * rows.D[:, None]
+    y = sum(scaled[:, :, j, None] * rows.B[:, None, :, j] for j in range(d))  # eqs. 38-39
+    u = rows.m[:, None] + rows.sigma[:, None, None] * y  # eq. 40
+    cost = objective(begin.real(u, rows.start).flatten(0, 1)).detach()
+    if cost.shape != (a * lam,):
+        raise RegtorchError(
+            f"objective returned shape {tuple(cost.shape)}: expected one cost for each of {a * lam} points"
+        )
+    cost = cost.to("cpu", torch.float64).nan_to_num(nan=torch.inf, posinf=torch.inf, neginf=torch.inf).view(a, lam)
+    cost, order = cost.sort(dim=1, stable=True)
+    y, z = (v.gather(1, order[:, :, None].expand(a, lam, d)) for v in (y, z))
+
+    better = cost[:, 0] < rows.best_cost
+    rows.best_u = torch.where(better[:, None], u[torch.arange(a), order[:, 0]], rows.best_u)
+    rows.best_cost = torch.minimum(cost[:, 0], rows.best_cost)
+    if g > rows.best.shape[1]:
+        more = torch.empty(a, max(256, g), dtype=torch.float64)
+        rows.best, rows.median = torch.cat([rows.best, more], 1), torch.cat([rows.median, more], 1)
+    rows.best[:, g - 1], rows.median[:, g - 1] = cost[:, 0], cost[:, (lam - 1) // 2]
+
+    positive = s.w.clamp_min(0)[:, None]
+    y_w, z_w = (positive * y).sum(1), (positive * z).sum(1)  # eq. 41
+    rows.m = rows.m + rows.sigma[:, None] * y_w  # eq. 42, c_m = 1 (eq. 54)
+    whitened = (rows.B * z_w[:, None]).sum(2)  # C^(-1/2) <y>_w, as y = B D z
+    rows.p_sigma = (1 - s.c_sigma) * rows.p_sigma + (s.c_sigma * (2 - s.c_sigma) * s.mu_eff) ** 0.5 * whitened  # eq. 43
+    length = rows.p_sigma.norm(dim=1)
+    rows.sigma = rows.sigma * ((s.c_sigma / s.d_sigma) * (length / s.chi_n - 1)).exp()  # eq. 44
+
+    h_sigma = (length / (1 - (1 - s.c_sigma) ** (2 * g)) ** 0.5 < (1.4 + 2 / (d + 1)) * s.chi_n).double()
+    rows.p_c = (1 - s.c_c) * rows.p_c + (h_sigma * (s.c_c * (2 - s.c_c) * s.mu_eff) ** 0.5)[:, None] * y_w  # eq. 45
+    w = torch.where(s.w >= 0, s.w, s.w * d / z.square().sum(2).clamp_min(1e-300))  # eq. 46, as |C^(-1/2) y| = |z|
+    delta = (1 - h_sigma) * s.c_c * (2 - s.c_c)
+    decay = 1 + s.c_1 * delta - s.c_1 - s.c_mu * float(s.w.sum())
+    rank_one = rows.p_c[:, :, None] * rows.p_c[:, None]
+    weighted = w[:, :, None] * y
+    rank_mu = sum(weighted[:, k, :, None] * y[:, k, None] for k in range(lam))
+    rows.C = decay[:, None, None] * rows.C + s.c_1 * rank_one + s.c_mu * rank_mu  # eq. 47
+    if g % s.lazy_gap == 0:
+        rows.B, rows.D = principal_axes(rows.C)
+    return cost
+
+
+def _write(end: Optimum, begin: Start, rows: Rows, ended: Tensor, g: int, lam: int) -> None:
+    starts, scale = rows.start[ended], begin.scale[rows.start[ended]]
+    end.x[starts] = begin.real(rows.best_u[ended], starts)
+    end.generations[starts] = g
+    end.evaluations[starts] = g * lam
+    end.mean[starts] = begin.real(rows.m[ended], starts)
+    C = rows.sigma[ended, None, None] ** 2 * rows.C[ended]
+    end.covariance[starts] = (C + C.mT) / 2 * scale[:, :, None] * scale[:, None, :]

@@ -1,0 +1,102 @@
+"""The ``cma`` package (N. Hansen's pycma) behind the same call: for those who trust it, and as the tests' oracle."""
+
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.errors import RegtorchError
+from regtorch.optimization.cma_es import Objective
+from regtorch.optimization.optimum import Optimum
+from regtorch.optimization.start import prepare
+
+
+def pycma(
+    objective: Objective,
+    start: Float[Tensor, "n d"],
+    sigma: Float[Tensor, " d"] | Float[Tensor, "n d"],
+    *,
+    lower: Float[Tensor, " d"] | None = None,
+    upper: Float[Tensor, " d"] | None = None,
+    covariance: Float[Tensor, "n d d"] | None = None,
+    population: int | None = None,
+    max_generations: int = 5000,
+    max_evaluations: int | None = None,
+    tol_fun: float = 1e-12,
+    tol_fun_hist: float = 0.0,
+    tol_x: float = 1e-12,
+    seed: int = 0,
+    streams: Sequence[int] | None = None,
+    on_generation: Callable[[int, int, Float[Tensor, " n"]], None] | None = None,
+) -> Optimum:
+    """Minimise from n starts; arguments and errors as in ``cma_es``, population for population in the same calls.
+
+    Bounds and a first covariance are dealt with by the same change of coordinates as there, so pycma itself sees an
+    unbounded problem that starts with a unit step. ``reason`` holds pycma's own names ("tolfun", "tolstagnation");
+    its rules are not quite the tutorial's. numpy's global generator is neither read nor changed.
+    """
+    import cma  # half a second, for those who ask for it
+
+    begin = prepare(start, sigma, lower, upper, covariance)
+    n = len(begin.u)
+    squares, axes = torch.linalg.eigh(begin.shape)
+    u_from_v = axes * squares.sqrt()[:, None]
+    v_start = torch.linalg.solve(u_from_v, begin.u[:, :, None])[:, :, 0]
+    options = {
+        "verbose": -10,
+        "seed": np.nan,
+        "maxiter": max_generations,
+        "maxfevals": sys.maxsize if max_evaluations is None else max_evaluations,
+        "tolfun": tol_fun,
+        "tolfunhist": tol_fun_hist,
+        "tolx": tol_x,
+        "tolfacupx": 1e4,
+    }
+    if population is not None:
+        options["popsize"] = population
+    ids = range(n) if streams is None else streams
+    if len(ids) != n:
+        raise RegtorchError(f"{len(ids)} random streams for {n} starts: expected one each")
+    searches = []
+    for stream, v in zip(ids, v_start.numpy(), strict=True):
+        generator = np.random.default_rng([seed, stream])
+        randn = lambda *shape, generator=generator: generator.standard_normal(shape)  # noqa: E731
+        searches.append(cma.CMAEvolutionStrategy(v, 1.0, {**options, "randn": randn}))
+
+    best_u = begin.u.clone()
+    best_cost = torch.full((n,), torch.inf, dtype=torch.float64)
+    running, generation = list(range(n)), 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pycma warns of flat costs; its stopping rules act on them
+        while running:
+            generation += 1
+            asked = [searches[i].ask() for i in running]
+            v = torch.from_numpy(np.array(asked))
+            u = v @ u_from_v[running].mT
+            cost = objective(begin.real(u, torch.tensor(running)).flatten(0, 1)).detach().to("cpu", torch.float64)
+            cost = cost.nan_to_num(nan=torch.inf, posinf=torch.inf, neginf=torch.inf).view(v.shape[:2])
+            for row, i in enumerate(running):
+                searches[i].tell(asked[row], cost[row].clamp_max(1e300).tolist())  # it cannot rank infinities
+                lowest = int(cost[row].argmin())
+                if cost[row, lowest] < best_cost[i]:
+                    best_cost[i], best_u[i] = cost[row, lowest], u[row, lowest]
+            if on_generation is not None:
+                on_generation(generation, len(running), best_cost)
+            running = [i for i in running if not searches[i].stop()]
+
+    mean = u_from_v @ torch.from_numpy(np.stack([s.mean for s in searches]))[:, :, None]
+    C = torch.from_numpy(np.stack([s.sigma**2 * s.sm.covariance_matrix for s in searches]))
+    to_real = begin.scale[:, :, None] * u_from_v
+    return Optimum(
+        begin.real(best_u),
+        best_cost,
+        torch.tensor([s.countevals for s in searches]),
+        torch.tensor([s.countiter for s in searches]),
+        tuple(next(iter(s.stop())) for s in searches),
+        begin.real(mean[:, :, 0]),
+        to_real @ C @ to_real.mT,
+    )

@@ -1,0 +1,105 @@
+"""The paper's method (section 2.2.3): many starts of CMA-ES at once, on two levels of a pyramid.
+
+What the paper's lost Table 1 held (population, first step sizes, stopping, how many starts go on) is declared here.
+"""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.optimization import Optimum, cma_es, kd_partition
+from regtorch.registration.objective import Level
+from regtorch.registration.problem import Found, Problem
+
+
+def evolution(
+    problem: Problem,
+    *,
+    starts: int = 100,
+    pixels: tuple[int, int] = (125, 500),
+    voxel_per_pixel: float = 1.3,
+    population: int | None = None,
+    sigma_fraction: float = 0.3,
+    generations: int = 60,
+    survivors: int = 5,
+    finalists: int = 2,
+    least_share: float = 0.8,
+    restart_shift_mm: float = 0.3,
+    final_generations: int = 300,
+    tolerances: tuple[float, float, float] = (1e-4, 1e-5, 1e-6),
+    optimizer: Callable[..., Optimum] = cma_es,
+) -> Found:
+    """Split the range into ``starts`` cells of a kD-tree, search from each, finish the best on the second level.
+
+    ``pixels`` is the longer side of either level's image; a voxel is ``voxel_per_pixel`` times what a pixel covers in
+    the patient. Every start has ``generations`` on the first level. The best ``survivors`` that differ converge there;
+    of these the ``finalists`` that reach ``least_share`` of the best similarity converge on the second level. Whoever
+    goes on does so with the distribution it has learned, scaled to move the anatomy by ``restart_shift_mm`` in the
+    detector plane, and ends when the similarities of its generations spread by less than the stage's tolerance.
+    """
+    lower, upper = problem.lower, problem.upper
+    low, high = kd_partition(lower, upper, starts, scale=1 / problem.sensitivity())
+    coarse, fine = (problem.level(longest, voxel_per_pixel) for longest in pixels)
+
+    def search(level: Level, stage: int, share: tuple[float, float], limit: int, *start: Tensor, **shape) -> Optimum:
+        def report(generation: int, running: int, cost: Float[Tensor, "n"]) -> None:
+            done = share[0] + (share[1] - share[0]) * generation / limit
+            detector = level.fixed.detector
+            what = f"{detector.columns} x {detector.rows} pixels, starts: {running}"
+            problem.progress(done, f"{what}, similarity: {-float(cost.min()):.4f}")
+
+        return optimizer(
+            lambda values: -level.similarities(problem.embed(values)),
+            *start,
+            lower=lower,
+            upper=upper,
+            population=population,
+            max_generations=limit,
+            tol_fun=tolerances[stage],
+            seed=problem.seed + stage,
+            on_generation=report,
+            **shape,
+        )
+
+    def go_on(level: Level, stage: int, share: tuple[float, float], before: Optimum, chosen: list[int]) -> Optimum:
+        x, covariance = before.x[chosen], before.covariance[chosen]
+        deviations = covariance.diagonal(dim1=1, dim2=2).sqrt()
+        factor = restart_shift_mm / _shift_mm(problem, x, covariance)
+        return search(level, stage, share, final_generations, x, deviations * factor[:, None], covariance=covariance)
+
+    all_starts = search(coarse, 0, (0, 0.6), generations, (low + high) / 2, sigma_fraction * (high - low))
+    chosen = _distinct(problem, all_starts, coarse.fixed.detector.pixel_mm)[:survivors]
+    converged = go_on(coarse, 1, (0.6, 0.7), all_starts, chosen)
+    least = -least_share * converged.cost.min()
+    chosen = [
+        i for i in _distinct(problem, converged, coarse.fixed.detector.pixel_mm)[:finalists] if -converged.cost[i] >= least
+    ]
+    final = go_on(fine, 2, (0.7, 1), converged, chosen)
+    order = all_starts.cost.argsort()
+    return Found(
+        parameters=problem.embed(final.x[final.best]),
+        similarity=-float(final.cost[final.best]),
+        starts=problem.embed(all_starts.x[order]),
+        start_similarity=-all_starts.cost[order],
+        evaluations=int(sum(optimum.evaluations.sum() for optimum in (all_starts, converged, final))),
+    )
+
+
+def _distinct(problem: Problem, found: Optimum, shift_mm: float) -> list[int]:
+    """Which starts ended at places that look different, best first."""
+    kept: list[int] = []
+    for index in found.cost.argsort().tolist():
+        here = problem.embed(found.x[index])
+        if all(float(problem.shift_mm(problem.embed(found.x[k]), here)) > shift_mm for k in kept):
+            kept.append(index)
+    return kept
+
+
+def _shift_mm(problem: Problem, means: Float[Tensor, "n d"], covariances: Float[Tensor, "n d d"]) -> Float[Tensor, "n"]:
+    """How far a draw from each distribution moves the points: root mean square over its axes together."""
+    values, axes = torch.linalg.eigh(covariances)
+    steps = axes * values.clamp(min=0).sqrt()[:, None]
+    moved = problem.embed(means[:, None] + steps.mT)
+    return problem.shift_mm(moved, problem.embed(means)[:, None]).square().sum(1).sqrt()

@@ -1,0 +1,86 @@
+"""Where the search begins and how far it goes: view and protocol, no calibration (section 2.2.2 of the paper)."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.errors import RegtorchError
+from regtorch.geometry import Detector, pixel_from_patient, project, world_from_patient_axes
+from regtorch.imaging import Volume
+
+SDD_MM = 1000.0
+"""Source-detector distance where nothing tells it, as in the paper."""
+
+SEARCH = (75.0, 75.0, 150.0, 75.0, 75.0, 150.0, *(math.radians(12),) * 3)
+"""Half the range searched about the start, in mm and rad. Declared here: the paper's Table 1 is lost."""
+
+BODY_HU = -300.0
+"""What counts as patient rather than air when the patient is laid against the detector."""
+
+Point2 = tuple[float, float]
+Point3 = tuple[float, float, float]
+
+
+def initial_parameters(
+    ct: Volume,
+    detector: Detector,
+    view: str,
+    *,
+    sdd_mm: float | None = None,
+    landmark_patient_mm: Point3 | None = None,
+    landmark_image: Point2 | None = None,
+) -> Float[Tensor, "9"]:
+    """Source over the detector's centre, no rotation, the patient against the detector, x and y from one landmark.
+
+    A landmark is a point of the CT (LPS mm) and the (column, row) where it is seen in the image (from the source);
+    without one the centre of the CT is put over the detector's centre. ``sdd_mm`` is 1000 unless told.
+    """
+    sdd_mm = SDD_MM if sdd_mm is None else sdd_mm
+    if not 0 < sdd_mm < math.inf:
+        raise RegtorchError(f"SDD of {sdd_mm:g} mm: expected a positive distance")
+    axes = world_from_patient_axes(view)
+    parameters = torch.zeros(9, dtype=torch.float64)
+    parameters[2] = sdd_mm
+    parameters[5] = -float((body_corners_ct(ct) @ axes.mT)[:, 2].min())
+    if parameters[5] >= sdd_mm:
+        raise RegtorchError(f"SDD of {sdd_mm:g} mm: expected more than the patient's {float(parameters[5]):g} mm")
+    if (landmark_patient_mm is None) != (landmark_image is None):
+        raise RegtorchError("a landmark in only one of CT and radiograph: expected it in both or in neither")
+    if landmark_patient_mm is not None and landmark_image is not None:
+        _check_inside(ct, detector, landmark_patient_mm, landmark_image)
+        point = torch.tensor([landmark_patient_mm], dtype=torch.float64)
+        wanted = torch.tensor(landmark_image, dtype=torch.float64)
+        matrix = pixel_from_patient(parameters, detector, view, ct.origin_patient_mm)
+        depth = sdd_mm - float(parameters[5] + axes[2] @ (point[0] - ct.origin_patient_mm))
+        miss = (wanted - project(matrix, point)[0]) * detector.pixel_mm * depth / sdd_mm
+        parameters[3:5] = miss * torch.tensor([1.0, -1.0])
+    return parameters
+
+
+def body_corners_ct(ct: Volume) -> Float[Tensor, "8 3"]:
+    """Corners, in the ``ct`` frame (mm), of the box around everything denser than fat; of the CT if nothing is."""
+    body = ct.data > BODY_HU
+    ends = []
+    for axis in (2, 1, 0):
+        others = [a for a in range(3) if a != axis]
+        found = body.any(others[1]).any(others[0]).nonzero().flatten()
+        ends.append((int(found[0]), int(found[-1])) if len(found) else (0, ct.data.shape[axis] - 1))
+    corners = torch.cartesian_prod(*(torch.tensor(pair, dtype=torch.float64) for pair in ends))
+    in_patient = corners @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
+    return in_patient - ct.origin_patient_mm
+
+
+def _check_inside(ct: Volume, detector: Detector, point: Point3, pixel: Point2) -> None:
+    column, row = pixel
+    if not (-0.5 <= column <= detector.columns - 0.5 and -0.5 <= row <= detector.rows - 0.5):
+        raise RegtorchError(
+            f"landmark at (column, row) ({column:g}, {row:g}): expected it inside the image of "
+            f"{detector.columns} x {detector.rows} pixels"
+        )
+    homogeneous = torch.tensor([*point, 1], dtype=torch.float64)
+    i, j, k = (torch.linalg.inv(ct.patient_from_voxel) @ homogeneous)[:3].tolist()
+    depth, height, width = ct.data.shape
+    if not (-0.5 <= i <= width - 0.5 and -0.5 <= j <= height - 0.5 and -0.5 <= k <= depth - 0.5):
+        raise RegtorchError(f"landmark at {point} mm (LPS): expected it inside {ct.name}")

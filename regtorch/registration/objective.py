@@ -1,0 +1,53 @@
+"""One level of the pyramid, ready to say how well any pose explains the radiograph."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.drr import render
+from regtorch.imaging import Radiograph, Volume, coarsen, level
+
+Similarity = Callable[..., Float[Tensor, "b"]]
+
+_PIXELS_AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Level:
+    """A radiograph averaged onto few pixels and a CT averaged onto voxels to match."""
+
+    volume: Volume
+    fixed: Radiograph
+    view: str
+    similarity: Similarity
+
+    @classmethod
+    def of(
+        cls,
+        attenuating: Volume,
+        radiograph: Radiograph,
+        view: str,
+        similarity: Similarity,
+        longest: int,
+        magnification: float,
+        voxel_per_pixel: float,
+    ) -> "Level":
+        """At most ``longest`` pixels a side; voxels of ``voxel_per_pixel`` times a pixel's size in the patient."""
+        fixed = level(radiograph, longest)
+        voxel_mm = voxel_per_pixel * fixed.detector.pixel_mm / magnification
+        return cls(coarsen(attenuating, voxel_mm), fixed, view, similarity)
+
+    def similarities(self, parameters: Float[Tensor, "m 9"]) -> Float[Tensor, "m"]:
+        """One number per pose, in bounded memory; only these and the parameters travel to and from the device."""
+        detector, device = self.fixed.detector, self.volume.data.device
+        fixed, weight = self.fixed.image.to(device), self.fixed.weight.to(device)
+        at_once = max(1, _PIXELS_AT_ONCE // (detector.rows * detector.columns))
+        found = []
+        with torch.no_grad():
+            for some in parameters.split(at_once):
+                moving = render(self.volume, some, detector, self.view)
+                found.append(self.similarity(moving, fixed, weight=weight).cpu().double())
+        return torch.cat(found) if found else parameters.new_zeros(0)

@@ -1,0 +1,82 @@
+"""What every search method is given: the pair, where to begin, how far to look, and what may move."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.evaluation import projection_distances
+from regtorch.geometry import NAMES, pixel_from_patient
+from regtorch.imaging import Radiograph, Volume
+from regtorch.registration.objective import Level, Similarity
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """``attenuating`` is the CT as it is rendered, cropped; ``points`` (LPS mm) lie on the anatomy in the image.
+
+    Parameters in ``free`` may move within ``half_range`` of ``initial`` (mm, rad); the others stay. ``progress`` is
+    told the share that is done and what goes on.
+    """
+
+    attenuating: Volume
+    radiograph: Radiograph
+    view: str
+    similarity: Similarity
+    initial: Float[Tensor, "9"]
+    half_range: Float[Tensor, "9"]
+    free: list[int]
+    points: Float[Tensor, "n 3"]
+    seed: int
+    progress: Progress
+
+    @property
+    def lower(self) -> Float[Tensor, "d"]:
+        """Least values of the free parameters; the source stays in front of the detector."""
+        lower = self.initial - self.half_range
+        lower[2] = torch.maximum(lower[2], self.initial[2] / 4)
+        return lower[self.free]
+
+    @property
+    def upper(self) -> Float[Tensor, "d"]:
+        return (self.initial + self.half_range)[self.free]
+
+    def embed(self, values: Float[Tensor, "*b d"]) -> Float[Tensor, "*b 9"]:
+        """All nine parameters for values of the free ones."""
+        parameters = self.initial.expand(*values.shape[:-1], len(NAMES)).clone()
+        parameters[..., self.free] = values
+        return parameters
+
+    def shift_mm(self, parameters: Float[Tensor, "*b 9"], others: Float[Tensor, "*#b 9"]) -> Float[Tensor, "*b"]:
+        """Mean distance in the detector plane between what two sets of parameters make of the points."""
+        place = self.radiograph.detector, self.view, self.attenuating.origin_patient_mm
+        matrices = [pixel_from_patient(p, *place) for p in (parameters, others)]
+        return projection_distances(*matrices, self.points, self.radiograph.detector.pixel_mm).mean(-1)
+
+    def sensitivity(self) -> Float[Tensor, "d"]:
+        """What a unit (mm, rad) of each free parameter does to the points in the detector plane, in mm."""
+        step = self.half_range * 1e-3
+        moved = (self.initial + torch.diag(step))[self.free]
+        return self.shift_mm(moved, self.initial) / step[self.free]
+
+    def level(self, longest: int, voxel_per_pixel: float) -> Level:
+        """The pair at one level of the pyramid."""
+        magnification = float(self.initial[2] / (self.initial[2] - self.initial[5]))
+        return Level.of(
+            self.attenuating, self.radiograph, self.view, self.similarity, longest, magnification, voxel_per_pixel
+        )
+
+
+@dataclass(frozen=True)
+class Found:
+    """The answer of a search method; ``starts`` (best first) and their similarities are those of its first level."""
+
+    parameters: Float[Tensor, "9"]
+    similarity: float
+    starts: Float[Tensor, "n 9"]
+    start_similarity: Float[Tensor, "n"]
+    evaluations: int

@@ -1,0 +1,120 @@
+"""One verb: a CT and a radiograph in, a checked registration out."""
+
+import time
+from collections.abc import Callable, Iterable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.errors import RegtorchError
+from regtorch.geometry import free_indices, pixel_from_patient, project
+from regtorch.imaging import Radiograph, Volume, attenuation, crop_to_anatomy
+from regtorch.imaging.points import spread_points
+from regtorch.registration.evolution import evolution
+from regtorch.registration.initial import SEARCH, Point2, Point3, initial_parameters
+from regtorch.registration.objective import Similarity
+from regtorch.registration.problem import Found, Problem, Progress
+from regtorch.registration.result import Registration
+from regtorch.registration.verdict import judge
+from regtorch.similarity import gradient_correlation
+
+_POINTS = 64
+
+
+def register(
+    ct: Volume,
+    radiograph: Radiograph,
+    view: str = "PA",
+    *,
+    method: Callable[[Problem], Found] = evolution,
+    free: int | Iterable[str] = 9,
+    initial: Float[Tensor, "9"] | None = None,
+    half_range: Float[Tensor, "9"] | None = None,
+    sdd_mm: float | None = None,
+    landmark_patient_mm: Point3 | None = None,
+    landmark_stored: Point2 | None = None,
+    threshold_hu: float | None = 100.0,
+    similarity: Similarity = gradient_correlation,
+    seed: int = 0,
+    progress: Progress = lambda share, what: None,
+) -> Registration:
+    """Find where source, patient and detector stood when a radiograph of the patient in a CT was taken.
+
+    ``free`` names the parameters that may move, or says 9 (all), 7 (all but x_s and y_s) or 6 (all but the source);
+    the others keep their values of ``initial``, which is made from view and protocol unless given
+    (``initial_parameters``). The SDD comes from ``sdd_mm``, else from the radiograph's file, else is 1000 mm. A
+    landmark is a point of the CT (LPS mm) and the (column, row) of the file where it is seen. ``half_range`` is how
+    far from ``initial`` to look (mm, rad). Voxels below ``threshold_hu`` count as air (None: none). ``method`` is
+    ``evolution``, the paper's, or a ``partial`` of it; ``similarity`` one of ``regtorch.similarity``.
+
+    The same seed gives the same result. Raises ``RegtorchError`` for input that cannot be registered; a registration
+    that went wrong is no error but has the status ``failed`` or ``doubtful``, and says why.
+    """
+    began = time.perf_counter()
+    detector = radiograph.detector
+    moving = free_indices(free)
+    if initial is None:
+        landmark = None if landmark_stored is None else _unstored(radiograph, landmark_stored)
+        initial = initial_parameters(
+            ct,
+            detector,
+            view,
+            sdd_mm=radiograph.sdd_mm if sdd_mm is None else sdd_mm,
+            landmark_patient_mm=landmark_patient_mm,
+            landmark_image=landmark,
+        )
+    attenuating = crop_to_anatomy(attenuation(ct, threshold_hu=threshold_hu))
+    problem = Problem(
+        attenuating=attenuating,
+        radiograph=radiograph,
+        view=view,
+        similarity=similarity,
+        initial=initial.double(),
+        half_range=torch.tensor(SEARCH, dtype=torch.float64) if half_range is None else half_range.double(),
+        free=moving,
+        points=_points_in_image(attenuating, radiograph, initial, view),
+        seed=seed,
+        progress=progress,
+    )
+    found = method(problem)
+    status, message = judge(problem, found)
+    image_from_patient = pixel_from_patient(found.parameters, detector, view, ct.origin_patient_mm)
+    return Registration(
+        parameters=found.parameters,
+        initial=problem.initial,
+        view=view,
+        detector=detector,
+        mirrored=radiograph.mirrored,
+        image_from_patient=image_from_patient,
+        pixel_from_patient=radiograph.stored_from_pixel @ image_from_patient,
+        status=status,
+        message=message,
+        similarity=found.similarity,
+        starts=found.starts,
+        start_similarity=found.start_similarity,
+        evaluations=found.evaluations,
+        seconds=time.perf_counter() - began,
+        device=str(attenuating.data.device),
+        seed=seed,
+    )
+
+
+def _unstored(radiograph: Radiograph, stored: Point2) -> Point2:
+    pixel = torch.linalg.solve(radiograph.stored_from_pixel, torch.tensor([*stored, 1.0], dtype=torch.float64))
+    return float(pixel[0]), float(pixel[1])
+
+
+def _points_in_image(
+    attenuating: Volume, radiograph: Radiograph, initial: Float[Tensor, "9"], view: str
+) -> Float[Tensor, "n 3"]:
+    """Points of the anatomy that the initial parameters put into the image; all of them where it shows too few."""
+    points = spread_points(attenuating, _POINTS)
+    detector = radiograph.detector
+    matrix = pixel_from_patient(initial.double(), detector, view, attenuating.origin_patient_mm)
+    limit = torch.tensor([detector.columns - 0.5, detector.rows - 0.5], dtype=torch.float64)
+    pixels = project(matrix, points)
+    seen = ((pixels > -0.5) & (pixels < limit)).all(1)
+    if not bool(pixels.isfinite().all(1).any()):
+        raise RegtorchError("the start puts the patient behind the source: expected it between source and detector")
+    return points[seen] if int(seen.sum()) >= _POINTS // 8 else points[pixels.isfinite().all(1)]

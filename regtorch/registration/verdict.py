@@ -1,0 +1,35 @@
+"""How far a result can be trusted, from what the search itself has seen."""
+
+import torch
+
+from regtorch.geometry import KEYS
+from regtorch.registration.problem import Found, Problem
+from regtorch.registration.result import Status
+
+_AGREE_MM = 10.0
+"""Starts that project the anatomy this close to each other have found the same place on the first level."""
+
+_LEAST_SIMILARITY = 0.05
+"""Gradient correlation of unrelated images is about 0.01; that of a thresholded CT with a real radiograph 0.2 to 0.5."""
+
+
+def judge(problem: Problem, found: Found) -> tuple[Status, str]:
+    """``failed`` where nothing matches, ``doubtful`` where only one start found the answer or it lies at a limit."""
+    if found.similarity < _LEAST_SIMILARITY:
+        return "failed", f"similarity {found.similarity:.3f} at best: the images do not match anywhere in the range"
+    values, lower, upper = found.parameters[problem.free], problem.lower, problem.upper
+    margin = 1e-3 * (upper - lower)
+    at_limit = ((values - lower < margin) | (upper - values < margin)).nonzero().flatten().tolist()
+    if at_limit:
+        names = ", ".join(KEYS[problem.free[i]].rsplit("_", 1)[0] for i in at_limit)
+        return "doubtful", f"{names} at the limit of the range searched: the answer may lie beyond"
+    agree = problem.shift_mm(found.starts, found.parameters) < _AGREE_MM
+    count, total = int(agree.sum()), len(agree)
+    if count < 2 and total > 1:
+        return "doubtful", f"only {count} of {total} starts ended here: another place may match as well"
+    rival = found.start_similarity[~agree]
+    best = float(found.start_similarity[agree].max()) if count else found.similarity
+    gap = best - float(rival.max()) if len(rival) else torch.inf
+    if gap < 0.02:
+        return "doubtful", f"another place matches as well to within {gap:.3f} of similarity"
+    return "ok", f"{count} of {total} starts agree, the next best place is {gap:.2f} lower in similarity"
