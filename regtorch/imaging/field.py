@@ -3,7 +3,7 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool1d, pad
 
 Box = tuple[int, int, int, int]
 """First and last + 1 row, first and last + 1 column."""
@@ -12,6 +12,8 @@ _COARSE = 256
 """Longer side, in pixels, at which collimator edges are looked for: noise is gone, slightly turned edges still hold."""
 _SHORTEST = 64
 """Shorter side below which a row of bone may pass for a straight edge."""
+_WEAKEST = 0.1
+"""Drop of an edge, as a share of the grey range, below which it is none."""
 _DEEPEST = 0.45
 """How far in a collimator may reach, as a share of the image."""
 
@@ -37,13 +39,10 @@ def exposed_field(image: Float[Tensor, "h w"]) -> Box:
         return box
     coarse = (coarse - low) / (high - low)
     found = [0, shape[0], 0, shape[1]]
-    # An edge is judged within the field that the other edges leave, so the sides are gone through until none moves.
-    for _ in range(3):
-        before = list(found)
+    # An edge shows within the field that the other three leave: all are first guessed, then each must hold.
+    for strict in (False, False, True, True):
         for side in range(4):
-            found[side] = _edge(coarse, found, side)
-        if found == before:
-            break
+            found[side] = _edge(coarse, found, side, strict)
     scale = (rows / shape[0], columns / shape[1])
     return (
         r0 + round(found[0] * scale[0]),
@@ -53,31 +52,46 @@ def exposed_field(image: Float[Tensor, "h w"]) -> Box:
     )
 
 
-def _edge(coarse: Float[Tensor, "h w"], box: list[int], side: int) -> int:
-    """The box's bound on one side (top, bottom, left, right), moved in where a collimator is seen there."""
+def _edge(coarse: Float[Tensor, "h w"], box: list[int], side: int, strict: bool) -> int:
+    """Where the box ends on one side (top, bottom, left, right): at the collimator, or where the image does."""
     r0, r1, c0, c1 = box
     part = coarse[:, c0:c1] if side < 2 else coarse[r0:r1].mT
     size = len(part)
-    lo, hi = (r0, r1) if side < 2 else (c0, c1)
+    end = (r1, size - r0, c1, size - c0)[side]
     if side % 2:
-        part, lo, hi = part.flip(0), size - hi, size - lo
-    best, strongest = lo, 0.0
-    for edge in range(max(1, lo), int(size * _DEEPEST)):
-        outside, inside = part[:edge], part[edge + 2 : hi]
+        part = part.flip(0)
+    best, strongest = 0, _WEAKEST
+    for edge in range(1, int(size * _DEEPEST)):
+        outside, inside = part[:edge], part[edge + 2 : end]
         if len(inside) < 8:
             break
         near_out, near_in = part[max(0, edge - 2) : edge].mean(0), part[edge + 2 : edge + 4].mean(0)
-        drop = near_out - near_in
-        strength = float(drop.median())
-        if strength <= max(strongest, 0.05):
+        drops = near_out - near_in > 0.02
+        # Beyond the neighbouring collimators an edge does not show, as both its sides are bright.
+        judged = torch.ones_like(drops) if strict else near_in < 0.9
+        strength = float((near_out - near_in)[judged].median()) if int(judged.sum()) > 0.3 * len(judged) else 0.0
+        if strength <= strongest:
             continue
-        straight = float((drop > 0.02).float().mean())
-        bright = float((outside.mean(0) > near_in).float().mean())
+        straight = float(drops[judged].float().mean())
+        bright = float((outside.mean(0) > near_in)[judged].float().mean())
         beyond = float(outside.median())
         darkest, brightest = inside.quantile(torch.tensor([0.05, 0.95], dtype=inside.dtype)).tolist()
-        if min(straight, bright) > 0.85 and beyond >= max(0.85, brightest - 0.02) and brightest - darkest > 0.2:
-            best, strongest = edge + 2, strength
+        # What is left must be a radiograph: something bright and something dark, nothing brighter than lead.
+        sound = brightest > max(0.5, darkest + 0.2) and beyond >= max(0.85, brightest - 0.02)
+        if sound and min(straight, bright) > 0.85 and _roughness(outside) < 0.7 * _roughness(inside):
+            best, strongest = edge, strength
+    if best:
+        # Past the half shadow, which is a few pixels wide.
+        while best < size * _DEEPEST and float((part[best] - part[best + 2]).median()) > 0.02:
+            best += 1
+        best += 2
     return size - best if side % 2 else best
+
+
+def _roughness(part: Float[Tensor, "across along"]) -> float:
+    """Detail along an edge: anatomy has some, the shadow of lead next to none."""
+    smooth = avg_pool1d(pad(part[:, None], (4, 4), mode="replicate"), 9, 1)[:, 0]
+    return float((part - smooth).abs().mean())
 
 
 def _burnt_in(image: Float[Tensor, "h w"]) -> Box:
@@ -90,6 +104,8 @@ def _burnt_in(image: Float[Tensor, "h w"]) -> Box:
     if not len(rows):
         return whole
     r0, r1, c0, c1 = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+    if (r1 - r0) * (c1 - c0) < 0.1 * image.numel():
+        return whole
     # The field of a shutter differs plainly from it all along its four sides; the shadow of a CT's box does not.
     plain = (image - corners[0]).abs() > 0.05 * (image.max() - image.min())
     sides = plain[r0, c0:c1], plain[r1 - 1, c0:c1], plain[r0:r1, c0], plain[r0:r1, c1 - 1]

@@ -1,9 +1,13 @@
 """Points on the anatomy, spread evenly: what accuracy is asked of where nobody named targets."""
 
+import csv
+from pathlib import Path
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.errors import RegtorchError
 from regtorch.imaging.averaging import coarsen
 from regtorch.imaging.volume import Volume
 
@@ -25,3 +29,24 @@ def spread_points(volume: Volume, n: int) -> Float[Tensor, "n 3"]:
         distance = torch.minimum(distance, (candidates - candidates[chosen[-1]]).norm(dim=1))
         chosen.append(int(distance.argmax()))
     return candidates[chosen]
+
+
+def read_points(path: str | Path) -> dict[str, tuple[float, float, float]]:
+    """Named points (LPS mm) of a CSV file with the columns name, x, y, z."""
+    path = Path(path)
+    points: dict[str, tuple[float, float, float]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            for number, line in enumerate(csv.reader(file), 1):
+                if not line or (number == 1 and line[1:4] == ["x", "y", "z"]):
+                    continue
+                name, *numbers = line
+                x, y, z = map(float, numbers)
+                points[name] = (x, y, z)
+    except OSError as error:
+        raise RegtorchError(f"{path}: {error.strerror}, expected a CSV file of name,x,y,z in LPS mm") from None
+    except (ValueError, UnicodeDecodeError):
+        raise RegtorchError(f"{path}: line {number} is {line!r}, expected name,x,y,z in LPS mm") from None
+    if not points:
+        raise RegtorchError(f"{path}: no points, expected lines of name,x,y,z in LPS mm")
+    return points

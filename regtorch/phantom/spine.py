@@ -158,7 +158,7 @@ def _vertebra(v: Vertebra, rng: np.random.Generator) -> NDArray[np.float64]:
                                 (3, 5, 4), (4, 4.6, 4.6), v.frame[1]))  # fmt: skip
     drop = np.radians(s["spinous_drop"])
     tip = np.array([rng.normal(0, 1.6), arch + s["spinous_length"] * np.cos(drop), -s["spinous_length"] * np.sin(drop)])
-    root, end = ((3, 8, 3.2), (4, 9.5, 4.2)) if lumbar else ((3, 6.5, 3), (4, 4.2, 3.6))
+    root, end = ((3, 8, 3.2), (6, 8.5, 4.2)) if lumbar else ((3, 6.5, 3), (4, 4.2, 3.6))
     rows.append(capsule(v.at(0, arch - 1, -0.3 * half), v.at(tip[0], tip[1], tip[2] - 0.3 * half), root, end, v.frame[0]))
     return np.stack(rows)
 
@@ -184,8 +184,8 @@ def _sacrum(vertebrae: dict[str, Vertebra]) -> NDArray[np.float64]:
     canal = [s1.at(0, s1.body_back + 9, 20), s1.at(0, s1.body_back + 9, 0), s2.at(0, s2.body_back + 7, 0), s4.at(0, s4.body_back + 3, 0)]
     for a, b, r in zip(canal[:-1], canal[1:], (11, 8, 5), strict=True):
         rows.append(capsule(a, b, (1, 1.3 * r, 0.7 * r), (1, r, 0.5 * r), s1.frame[1], carve=True))
-    for v, x, r in zip(chain[:4], (19, 17, 15, 13), (5.5, 5.0, 4.3, 3.6), strict=True):
-        for side in (-1, 1):  # level, so that an upright patient's radiograph shows them open
+    for v, x, r in zip(chain[:4], (19, 17, 15, 13), (4.8, 4.4, 3.8, 3.2), strict=True):
+        for side in (-1, 1):  # nearly level, so that a frontal radiograph shows them half open
             hole = v.at(side * x, 4, -v.size["height"] / 2)
-            rows.append(capsule(hole - [0, 40, 0], hole + [0, 40, 0], r, 0.8 * r, (0, 0, 1), carve=True))
+            rows.append(capsule(hole + [side * 3, -30, -9], hole + [side, 35, 11], 1.2 * r, 0.7 * r, carve=True))
     return np.stack(rows)

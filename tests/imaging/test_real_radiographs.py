@@ -91,7 +91,7 @@ def test_jpeg_ls_and_jpeg_2000_hold_the_same_hip(folder: Path) -> None:
 def test_leg(folder: Path) -> None:
     """MONOCHROME1, R\\F with the marker in mirror writing: mirrored for AP. No spacing of any kind."""
     path = folder / "leg_ap_no_spacing_monochrome1.dcm"
-    with pytest.raises(RegtorchError, match="leg.*no pixel size in the file, expected the detector's by --pixel-mm"):
+    with pytest.raises(RegtorchError, match=r"leg.*no pixel size in the file, expected the detector's by --pixel-mm"):
         read_radiograph(path, view="AP")
     leg = read_radiograph(path, view="AP", pixel_mm=0.2)
     assert (leg.detector.rows, leg.detector.columns) == (1760, 1760)

@@ -1,0 +1,97 @@
+"""A radiograph of a CT from a geometry drawn at random, and the truth about it (section 2.3.1 of the paper)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch import __version__
+from regtorch.drr import render
+from regtorch.errors import RegtorchError
+from regtorch.geometry import Detector, parameters_to_dict, pixel_from_patient, project
+from regtorch.imaging import Volume, attenuation
+from regtorch.imaging.points import spread_points
+from regtorch.simulation.noise import add_quantum_noise
+
+RANGES = (25.0, 25.0, 50.0, 25.0, 25.0, 50.0, *(math.radians(5),) * 3)
+"""Half ranges of the nine parameters (mm, rad) about the protocol's."""
+
+DETECTOR = Detector(500, 500, 0.7)
+
+_TARGETS = 16
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """``image``: line integrals seen from the source. ``targets`` (LPS mm) are those that the image shows."""
+
+    image: Float[Tensor, "h w"]
+    parameters: Float[Tensor, "9"]
+    detector: Detector
+    view: str
+    pixel_from_patient: Float[Tensor, "3 4"]
+    targets: dict[str, tuple[float, float, float]]
+    seed: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """As written to ``truth.json``: plain values, mm and degrees."""
+        return {
+            "parameters": parameters_to_dict(self.parameters),
+            "view": self.view,
+            "mirrored": False,
+            "detector": {
+                "rows": self.detector.rows,
+                "columns": self.detector.columns,
+                "pixel_mm": self.detector.pixel_mm,
+            },
+            "pixel_from_patient": self.pixel_from_patient.tolist(),
+            "targets_patient_mm": {name: list(point) for name, point in self.targets.items()},
+            "seed": self.seed,
+            "version": __version__,
+        }
+
+
+def draw_parameters(
+    middle: Float[Tensor, "9"], half_range: Float[Tensor, "9"], generator: torch.Generator
+) -> Float[Tensor, "9"]:
+    """Nine parameters (mm, rad), each uniform within its half range of the middle."""
+    uniform = 2 * torch.rand(9, generator=generator, dtype=torch.float64) - 1
+    return middle.double() + uniform * half_range.double()
+
+
+def simulate(
+    ct: Volume,
+    parameters: Float[Tensor, "9"],
+    view: str = "PA",
+    *,
+    detector: Detector = DETECTOR,
+    threshold_hu: float | None = None,
+    photons: float | None = None,
+    targets: Mapping[str, tuple[float, float, float]] | None = None,
+    seed: int = 0,
+) -> Simulation:
+    """Render a radiograph by Siddon's method, from the whole CT or what is left above ``threshold_hu``.
+
+    ``photons`` per pixel of the open beam adds quantum noise, drawn from ``seed``. ``targets`` (LPS mm) default to
+    points spread over the bones; raises ``RegtorchError`` when the image shows none of them.
+    """
+    named = dict(targets) if targets else _bone_points(ct)
+    image = render(attenuation(ct, threshold_hu=threshold_hu), parameters, detector, view, method="siddon")
+    if photons is not None:
+        image = add_quantum_noise(image, photons, torch.Generator().manual_seed(seed))
+    matrix = pixel_from_patient(parameters, detector, view, ct.origin_patient_mm)
+    pixels = project(matrix, torch.tensor(list(named.values()), dtype=torch.float64))
+    inside = ((pixels >= 0) & (pixels <= torch.tensor([detector.columns - 1, detector.rows - 1]))).all(1).tolist()
+    shown = {name: point for (name, point), seen in zip(named.items(), inside, strict=True) if seen}
+    if not shown:
+        raise RegtorchError(f"{ct.name}: none of {len(named)} targets is in the image, expected at least one")
+    return Simulation(image, parameters.double(), detector, view, matrix, shown, seed)
+
+
+def _bone_points(ct: Volume) -> dict[str, tuple[float, float, float]]:
+    points = spread_points(attenuation(ct), _TARGETS).tolist()
+    return {f"bone {number}": (x, y, z) for number, (x, y, z) in enumerate(points, 1)}
