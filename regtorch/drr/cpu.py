@@ -7,6 +7,7 @@ the four neighbours and adds.
 """
 
 import math
+from typing import no_type_check
 
 import numpy as np
 import torch
@@ -94,6 +95,7 @@ _NOTHING = np.zeros((0, 3, 3), np.float32), np.zeros((0, 1, 1), np.int32)
 
 
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
 def _joseph(slices, tables, spacing, rays, axis, images, chunks):
     poses, rows, columns = images.shape
     bands = (rows + _TILE_ROWS - 1) // _TILE_ROWS
@@ -119,6 +121,7 @@ def _joseph(slices, tables, spacing, rays, axis, images, chunks):
 
 
 @njit(nogil=True)
+@no_type_check
 def _scratch():
     n = _TILE_ROWS * _TILE_COLUMNS
     return (
@@ -129,6 +132,7 @@ def _scratch():
 
 
 @njit(nogil=True, error_model="numpy")
+@no_type_check
 def _main_axis(ray, row, column):
     best, main = -1.0, 0
     for axis in range(3):
@@ -139,6 +143,7 @@ def _main_axis(ray, row, column):
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
 def _tile_along(main, slices, tables, spacing, ray, row0, row1, column0, column1, scratch, image):
     if main == 0:
         _tile(slices[0], tables[0], spacing, 1, 2, 0, ray, row0, row1, column0, column1, scratch, image)
@@ -149,6 +154,7 @@ def _tile_along(main, slices, tables, spacing, ray, row0, row1, column0, column1
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
 def _tile(slices, table, spacing, ia, ib, im, ray, row0, row1, column0, column1, scratch, image):
     """Rays of one tile, all along axis ``im``: on slice k a ray is at (a0 + k da, b0 + k db)."""
     a0, da, b0, db, low, high, total, fa, fb, offset = scratch
@@ -212,6 +218,7 @@ def _tile(slices, table, spacing, ia, ib, im, ray, row0, row1, column0, column1,
 
 
 @njit(nogil=True, inline="always")
+@no_type_check
 def _bilinear(values, at, stride, fa, fb):
     one = np.uint64(1)
     v00, v01 = values[at], values[at + one]
@@ -222,6 +229,7 @@ def _bilinear(values, at, stride, fa, fb):
 
 
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
+@no_type_check
 def _siddon(data, spacing, rays, images, chunks):
     """Siddon 1985, walking from voxel to voxel (Amanatides and Woo 1987), in float64."""
     poses, rows, columns = images.shape

@@ -83,14 +83,14 @@ def _check_grey(values: Float[Tensor, " n"]) -> list[str]:
     near = torch.quantile(some, torch.tensor([0.005, 0.995], dtype=some.dtype))
     if float(near[1] - near[0]) < 0.05 * (high - low):
         return ["nearly empty: 99 % of the pixels lie within a twentieth of the grey range"]
-    found = []
-    if len(some.unique()) <= 64 < len(some):
-        found.append(f"only {len(some.unique())} grey levels: expected a radiograph of 10 bits or more")
+    levels = len(some.unique())
+    if levels <= 64 < len(some):
+        return [f"only {levels} grey levels: expected a radiograph of 10 bits or more"]
     # Air at the lower end may well be one value; the densest bone is never an area of one value.
     topped = float((values == high).float().mean())
     if topped > 0.01:
-        found.append(f"grey range cut off: {100 * topped:.0f} % of the pixels have the highest value")
-    return found
+        return [f"grey range cut off: {100 * topped:.0f} % of the pixels have the highest value"]
+    return []
 
 
 def _check_tone(image: Float[Tensor, "h w"]) -> list[str]:

@@ -64,7 +64,7 @@ def _headers(folder: Path) -> dict[Path, Dataset]:
     found = {path: header for path, header in found.items() if header is not None and "Rows" in header}
     if not found:
         folders = sum(p.is_dir() for p in inside)
-        hint = f" (it holds {folders} folders: name the one of the series)" if folders else ""
+        hint = f" (it holds {folders} folder(s): name the one of the series)" if folders else ""
         raise RegtorchError(f"{folder}: no DICOM image in this folder, expected the slices of one CT series{hint}")
     return found
 

@@ -1,7 +1,7 @@
 """Where the beam fell: the rectangle that collimators leave, found only where it shows beyond doubt."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool1d, pad
 
@@ -57,35 +57,47 @@ def _edge(coarse: Float[Tensor, "h w"], box: list[int], side: int, strict: bool)
     r0, r1, c0, c1 = box
     part = coarse[:, c0:c1] if side < 2 else coarse[r0:r1].mT
     size = len(part)
+    part = part.flip(0) if side % 2 else part
     end = (r1, size - r0, c1, size - c0)[side]
-    if side % 2:
-        part = part.flip(0)
-    best, strongest = 0, _WEAKEST
-    for edge in range(1, int(size * _DEEPEST)):
-        outside, inside = part[:edge], part[edge + 2 : end]
-        if len(inside) < 8:
+    last = min(int(size * _DEEPEST), end - 10)
+    if last < 2:
+        return size if side % 2 else 0
+    # Strips of two pixels on either side of each edge and two pixels between them, which half shadows fill.
+    outer = torch.stack([part[max(0, edge - 2) : edge].mean(0) for edge in range(1, last)])
+    inner = torch.stack([part[edge + 2 : edge + 4].mean(0) for edge in range(1, last)])
+    # Beyond the neighbouring collimators an edge does not show, as both its sides are bright.
+    judged = torch.ones_like(inner, dtype=torch.bool) if strict else inner < 0.9
+    strength = torch.where(judged, outer - inner, torch.nan).nanmedian(dim=1).values
+    strength = torch.where(judged.float().mean(1) > 0.3, strength, 0)
+    for row in strength.argsort(descending=True).tolist():
+        drop = float(strength[row])
+        if drop < _WEAKEST:
             break
-        near_out, near_in = part[max(0, edge - 2) : edge].mean(0), part[edge + 2 : edge + 4].mean(0)
-        drops = near_out - near_in > 0.02
-        # Beyond the neighbouring collimators an edge does not show, as both its sides are bright.
-        judged = torch.ones_like(drops) if strict else near_in < 0.9
-        strength = float((near_out - near_in)[judged].median()) if int(judged.sum()) > 0.3 * len(judged) else 0.0
-        if strength <= strongest:
-            continue
-        straight = float(drops[judged].float().mean())
-        bright = float((outside.mean(0) > near_in)[judged].float().mean())
-        beyond = float(outside.median())
-        darkest, brightest = inside.quantile(torch.tensor([0.05, 0.95], dtype=inside.dtype)).tolist()
-        # What is left must be a radiograph: something bright and something dark, nothing brighter than lead.
-        sound = brightest > max(0.5, darkest + 0.2) and beyond >= max(0.85, brightest - 0.02)
-        if sound and min(straight, bright) > 0.85 and _roughness(outside) < 0.7 * _roughness(inside):
-            best, strongest = edge, strength
-    if best:
-        # Past the half shadow, which is a few pixels wide.
-        while best < size * _DEEPEST and float((part[best] - part[best + 2]).median()) > 0.02:
-            best += 1
-        best += 2
-    return size - best if side % 2 else best
+        if _is_collimator(part[: row + 1], part[row + 3 : end], (outer - inner)[row], inner[row], judged[row]):
+            # Past the half shadow, which may be wider than the strips are apart.
+            best = row + 3
+            while best < row + 7 and float((part[best - 1] - part[best + 1]).median()) > 0.25 * drop:
+                best += 1
+            return size - best if side % 2 else best
+    return size if side % 2 else 0
+
+
+def _is_collimator(
+    outside: Float[Tensor, "out along"],
+    inside: Float[Tensor, "in along"],
+    drop: Float[Tensor, " along"],
+    inner: Float[Tensor, " along"],
+    judged: Bool[Tensor, " along"],
+) -> bool:
+    straight = float((drop > 0.02)[judged].float().mean())
+    bright = float((outside.mean(0) > inner)[judged].float().mean())
+    if min(straight, bright) < 0.85:
+        return False
+    darkest, brightest = inside.quantile(torch.tensor([0.05, 0.95], dtype=inside.dtype)).tolist()
+    # What is left must be a radiograph: something bright and something dark, nothing brighter than lead.
+    if brightest < max(0.5, darkest + 0.2) or float(outside.median()) < max(0.85, brightest - 0.02):
+        return False
+    return _roughness(outside) < 0.7 * _roughness(inside)
 
 
 def _roughness(part: Float[Tensor, "across along"]) -> float:

@@ -7,9 +7,10 @@ from regtorch.errors import RegtorchError
 from regtorch.imaging.volume import Volume
 from regtorch.phantom.pelvis import pelvis_parts
 from regtorch.phantom.raster import paint
-from regtorch.phantom.spine import spine, spine_parts
+from regtorch.phantom.spine import spine
 from regtorch.phantom.thorax import thorax_parts
 from regtorch.phantom.tissue import tissue_parts
+from regtorch.phantom.vertebrae import spine_parts
 
 __all__ = ["make_phantom"]
 
@@ -40,7 +41,12 @@ def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float
         raise RegtorchError(f"phantom: spacing of {spacing_mm} mm, expected {_FINEST} to {_COARSEST} mm")
     rng = np.random.default_rng(_SEED)
     vertebrae = spine(rng)
-    parts = tissue_parts(vertebrae, rng) + thorax_parts(vertebrae, rng) + pelvis_parts(rng) + spine_parts(vertebrae, rng)
+    parts = [
+        *tissue_parts(vertebrae, rng),
+        *thorax_parts(vertebrae, rng),
+        *pelvis_parts(rng),
+        *spine_parts(vertebrae, rng),
+    ]
 
     size = np.round((_HIGH - _LOW) / spacing_mm).astype(int)
     first = (_LOW + _HIGH) / 2 - (size - 1) / 2 * spacing_mm

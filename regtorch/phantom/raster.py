@@ -51,7 +51,7 @@ def paint(volume: NDArray[np.float32], origin: NDArray[np.float64], spacing: flo
     def paint_slab(k0: int) -> None:
         slab = volume[k0 : k0 + thick]
         for part in parts:
-            _paint_part(slab, origin + [0, 0, k0 * spacing], spacing, part, lattice)
+            _paint_part(slab, origin + np.array([0, 0, k0 * spacing]), spacing, part, lattice)
 
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
         list(pool.map(paint_slab, range(0, len(volume), thick)))
@@ -81,13 +81,9 @@ def _capsule(s, x, y, z):
     q0 -= t * s[20]
     r0, r1, r2 = s[21] + t * (s[24] - s[21]), s[22] + t * (s[25] - s[22]), s[23] + t * (s[26] - s[23])
     u0, u1, u2 = (q0 / r0) ** 2, (q1 / r1) ** 2, (q2 / r2) ** 2
-    # First-order distance (level - 1) / |gradient| to the level 1 of (sum |q/r|^n)^(1/n), n = 2 or 4.
-    if s[27] > 0:
-        level = (u0 * u0 + u1 * u1 + u2 * u2) ** 0.25
-        steep = np.sqrt(u0**3 / r0**2 + u1**3 / r1**2 + u2**3 / r2**2) / max(level, 1e-9) ** 3
-    else:
-        level = np.sqrt(u0 + u1 + u2)
-        steep = np.sqrt(u0 / r0**2 + u1 / r1**2 + u2 / r2**2) / max(level, 1e-9)
+    # First order: distance to the ellipsoid |q / r| = 1 is (|q / r| - 1) / |gradient|.
+    level = np.sqrt(u0 + u1 + u2)
+    steep = np.sqrt(u0 / r0**2 + u1 / r1**2 + u2 / r2**2) / max(level, 1e-9)
     return (level - 1) / max(steep, 1e-9)
 
 
@@ -182,6 +178,8 @@ def _measure(distance, origin, spacing, shapes, blend):
                     old = distance[k, j, i]
                     if s[1] > 0:
                         distance[k, j, i] = max(old, -d)
+                    elif s[0] == 2:  # neighbours in a sheet would swell along their common edge if they melted
+                        distance[k, j, i] = min(old, d)
                     else:
                         near = max(blend - abs(old - d), 0.0)
                         distance[k, j, i] = min(old, d) - (near * near / (4 * blend) if near > 0 else 0.0)
@@ -211,9 +209,9 @@ def _fill(volume, distance, origin, spacing, core, shell, thickness, amplitude, 
                 inner = min(max(0.5 - (d + thickness) / spacing, 0.0), 1.0)
                 value = core
                 if amplitude > 0 and inner > 0:
-                    gx = ((origin[0] + i * spacing) / 4.0) % cells
-                    gy = ((origin[1] + j * spacing) / 4.0) % cells
-                    gz = ((origin[2] + k * spacing) / 4.0) % cells
+                    gx = ((origin[0] + i * spacing) / _CELL_MM) % cells
+                    gy = ((origin[1] + j * spacing) / _CELL_MM) % cells
+                    gz = ((origin[2] + k * spacing) / _CELL_MM) % cells
                     x, y, z = int(gx), int(gy), int(gz)
                     fx, fy, fz = gx - x, gy - y, gz - z
                     noise = 0.0

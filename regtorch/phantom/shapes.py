@@ -2,10 +2,12 @@
 
 Everything anatomical is made of these four, so that one compiled loop (``raster.py``) paints it all. A row holds
 
-    kind, carve | box: low xyz, high xyz | point | three axes | length | six sizes | one more
+    kind, carve | box: low xyz, high xyz | point | what the kind needs, in the order of its function
 
 where ``carve`` = 1 takes the solid away from those before it, and the box bounds the solid.
 """
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,13 +25,12 @@ def _row(kind: float, carve: bool, low: Array, high: Array, *fields: ArrayLike) 
 
 
 def capsule(
-    a: ArrayLike, b: ArrayLike, ra: ArrayLike, rb: ArrayLike, thin: ArrayLike = (0, 1, 0), *, boxy=False, carve=False
+    a: ArrayLike, b: ArrayLike, ra: ArrayLike, rb: ArrayLike, thin: ArrayLike = (0, 1, 0), *, carve: bool = False
 ) -> Array:
     """Elliptic capsule from ``a`` to ``b`` (mm), one row.
 
     ``ra`` and ``rb`` are the radii at its ends: one number, or three (along the axis, wide, thin). ``thin`` is the
-    direction of the third, made orthogonal to the axis. ``boxy`` sections are superellipses of exponent 4. With
-    ``a`` = ``b`` it is an ellipsoid whose axis is vertical.
+    direction of the third, made orthogonal to the axis. With ``a`` = ``b`` it is an ellipsoid whose axis is vertical.
     """
     a, b, thin = (np.asarray(v, float) for v in (a, b, thin))
     ra, rb = (np.broadcast_to(np.asarray(r, float), 3) for r in (ra, rb))
@@ -40,13 +41,21 @@ def capsule(
         thin = np.cross(along, [1.0, 0.0, 0.0])
     thin = thin / np.linalg.norm(thin)
     frame = np.stack([along, np.cross(thin, along), thin])
-    reach_a, reach_b = (np.abs(r[:, None] * frame).sum(0) if boxy else np.hypot.reduce(r[:, None] * frame) for r in (ra, rb))
+    reach_a, reach_b = (np.linalg.norm(r[:, None] * frame, axis=0) for r in (ra, rb))
     low, high = np.minimum(a - reach_a, b - reach_b), np.maximum(a + reach_a, b + reach_b)
-    return _row(CAPSULE, carve, low, high, a, frame, length, ra, rb, boxy)
+    return _row(CAPSULE, carve, low, high, a, frame, length, ra, rb)
 
 
 def drum(
-    centre: ArrayLike, frame: Array, height: float, widths: ArrayLike, depths: ArrayLike, *, waist=0.1, wedge=0.0, dish=1.0
+    centre: ArrayLike,
+    frame: Array,
+    height: float,
+    widths: ArrayLike,
+    depths: ArrayLike,
+    *,
+    wedge: float = 0.0,
+    waist: float = 0.1,
+    dish: float = 1.0,
 ) -> Array:
     """Vertebral body, one row: kidney-shaped sections, a waist, dished endplates.
 
@@ -78,14 +87,14 @@ def smooth(points: ArrayLike, pieces: int) -> Array:
     return np.concatenate([curve.reshape(-1, *p.shape[1:]), p[-2:-1]])
 
 
-def tube(points: ArrayLike, radii: ArrayLike, thin: ArrayLike = (0, 1, 0), *, boxy=False) -> Array:
+def tube(points: ArrayLike, radii: ArrayLike, thin: ArrayLike = (0, 1, 0)) -> Array:
     """Capsules along a polyline: (n, 3) points, radii that broadcast to (n, 3), ``thin`` to (n, 3); n - 1 rows."""
     points = np.asarray(points, float)
     radii = np.asarray(radii, float)
     radii = np.broadcast_to(radii[:, None] if radii.ndim == 1 and len(radii) == len(points) else radii, points.shape)
     thin = np.broadcast_to(np.asarray(thin, float), points.shape)
     pairs = zip(points[:-1], points[1:], radii[:-1], radii[1:], thin[:-1], strict=True)
-    return np.stack([capsule(*pair, boxy=boxy) for pair in pairs])
+    return np.stack([capsule(*pair) for pair in pairs])
 
 
 def loft(sections: ArrayLike, pieces: int = 5) -> Array:
@@ -93,7 +102,7 @@ def loft(sections: ArrayLike, pieces: int = 5) -> Array:
     s = smooth(sections, pieces)
     s = s[np.argsort(s[:, 2])]
     rows = []
-    for a, b in zip(s[:-1], s[1:], strict=True):
+    for a, b in pairwise(s):
         reach_a, reach_b = np.append(a[3:], 0), np.append(b[3:], 0)
         low, high = np.minimum(a[:3] - reach_a, b[:3] - reach_b), np.maximum(a[:3] + reach_a, b[:3] + reach_b)
         rows.append(_row(SLICE, False, low, high, a[:3], b[:3] - a[:3], [0] * 7, a[3:], b[3:]))

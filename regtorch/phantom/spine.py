@@ -1,17 +1,14 @@
-"""The spine: C7 to L5, sacrum and coccyx, each vertebra with its own size, tilt and irregularities."""
+"""Where the vertebrae stand and how large they are: C7 to coccyx, each with its own size, tilt and deviations."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from regtorch.phantom.raster import Part
-from regtorch.phantom.shapes import capsule, drum, sheet
-
-# Heights, widths and depths of bodies, pedicles, canals and processes are rounded after Panjabi et al., Spine 16
-# (1991) 861 and 888 (cervical, thoracic) and 17 (1992) 299 (lumbar); discs after Gilad and Nissan, Spine 11 (1986)
-# 154; tilts make a thoracic kyphosis of 38 degrees, a lumbar lordosis of 55 and a sacral slope of 38, within the
-# normal range of Vialle et al., J Bone Joint Surg Am 87 (2005) 260.
+# Bodies, pedicles, canals and processes are modelled on the means of Panjabi et al., Spine 16 (1991) 861 and 888
+# (cervical, thoracic) and 17 (1992) 299 (lumbar), the lumbar discs on Gilad and Nissan, Spine 11 (1986) 154. The tilts
+# make a thoracic kyphosis of 40 degrees, a lumbar lordosis of 57 and a sacral slope of 40, all close to the means of
+# Vialle et al., J Bone Joint Surg Am 87 (2005) 260.
 _COLUMNS = "height upper_width lower_width upper_depth lower_depth disc tilt wedge pedicle_width pedicle_height " \
     "canal_width canal_depth transverse_width spinous_length spinous_drop"  # fmt: skip
 # mm; disc is the one below; tilt is of the body's axis, forward, and wedge how far the endplates open to the front,
@@ -64,7 +61,12 @@ class Vertebra:
         return self.centre + np.array([left, back, up]) @ self.frame
 
     @property
+    def is_sacral(self) -> bool:
+        return self.name[0] == "S" or self.name.startswith("Co")
+
+    @property
     def body_back(self) -> float:
+        """From the centre of the body to its back, mm."""
         return (self.size["upper_depth"] + self.size["lower_depth"]) / 4
 
 
@@ -112,80 +114,3 @@ def _step(upper: int, sizes: list[dict[str, float]], frames: list[NDArray[np.flo
     up, down = frames[upper][2], frames[upper + 1][2]
     across = (up + down) / np.linalg.norm(up + down)
     return up * sizes[upper]["height"] / 2 + across * sizes[upper]["disc"] + down * sizes[upper + 1]["height"] / 2
-
-
-def spine_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> list[Part]:
-    """One part for each of C7 to L5, one for sacrum and coccyx."""
-    presacral = [v for name, v in vertebrae.items() if name[0] in "CTL" and name[:2] != "Co"]
-    parts = [Part(_vertebra(v, rng), rng.normal(245, 15), rng.normal(920, 40), 1.2, 75, 1.5) for v in presacral]
-    return [*parts, Part(_sacrum(vertebrae), 190, 720, 0.9, 60, 3.0)]
-
-
-def _body(v: Vertebra) -> NDArray[np.float64]:
-    s = v.size
-    widths, depths = (s["lower_width"], s["upper_width"]), (s["lower_depth"], s["upper_depth"])
-    return drum(v.centre, v.frame, s["height"], widths, depths, wedge=np.tan(np.radians(s["wedge"]) / 2))
-
-
-def _vertebra(v: Vertebra, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Body, pedicles, facets, transverse processes, laminae and spinous process."""
-    s, lumbar = v.size, v.name[0] == "L"
-    half, back = s["height"] / 2, v.body_back
-    wide, tall = s["pedicle_width"] / 2, s["pedicle_height"] / 2
-    pillar = back + 0.8 * s["canal_depth"]  # where pedicle, facets, transverse process and lamina meet
-    arch = back + s["canal_depth"] + 3
-    high = half - tall + (0.5 if lumbar else 1.5)
-    rows = [_body(v)]
-    for side in (-1, 1):
-        x = side * (s["canal_width"] / 2 + wide)
-        inner, outer = (0.72 * x, x + side * 3) if lumbar else (0.75 * x, x)
-        facet = (5, 5, 8) if lumbar else (4, 6, 3)  # sagittal and stout, or coronal and thin
-        reach = side * s["transverse_width"] / 2 * (1 + rng.normal(0, 0.03))
-        rows += [
-            capsule(v.at(x, back - 4, high), v.at(x, pillar, high), (2, wide, tall), (2, wide, tall), v.frame[2]),
-            capsule(v.at(outer, pillar - 1, high), v.at(outer, pillar + 1, half + 0.6 * tall), facet, facet, v.frame[1]),
-            capsule(v.at(x, pillar, high), v.at(inner, arch + 1, -half - 0.3 * tall - s["disc"] / 2), (3, 4, 3.5),
-                    facet, v.frame[1]),
-            capsule(v.at(0.85 * x, pillar + 1, 0.3 * half), v.at(0, arch, -0.25 * half), (2, 0.55 * half, 3),
-                    (2, 0.65 * half, 3), v.frame[1]),
-        ]  # fmt: skip
-        if lumbar:
-            thick = 7 if v.name == "L5" else 3.6
-            rows.append(capsule(v.at(x, pillar - 3, high - 3), v.at(reach, pillar - 2 + rng.normal(0, 1), high + rng.normal(-2, 1.5)),
-                                (3, thick, thick), (3, 4.5, 2.5), v.frame[1]))  # fmt: skip
-        else:
-            rows.append(capsule(v.at(x, pillar - 1, high - 1), v.at(reach, pillar + 0.5 * (abs(reach) - abs(x)), high + 2),
-                                (3, 5, 4), (4, 4.6, 4.6), v.frame[1]))  # fmt: skip
-    drop = np.radians(s["spinous_drop"])
-    tip = np.array([rng.normal(0, 1.6), arch + s["spinous_length"] * np.cos(drop), -s["spinous_length"] * np.sin(drop)])
-    root, end = ((3, 8, 3.2), (6, 8.5, 4.2)) if lumbar else ((3, 6.5, 3), (4, 4.2, 3.6))
-    rows.append(capsule(v.at(0, arch - 1, -0.3 * half), v.at(tip[0], tip[1], tip[2] - 0.3 * half), root, end, v.frame[0]))
-    return np.stack(rows)
-
-
-def _sacrum(vertebrae: dict[str, Vertebra]) -> NDArray[np.float64]:
-    """Fused bodies, the wings that meet the iliac bones, the median crest; canal and foramina carved out."""
-    chain = [v for name, v in vertebrae.items() if name[0] == "S" or name[:2] == "Co"]
-    rows = [_body(v) for v in chain]
-    s1, s2, s3, s4, s5 = chain[:5]
-    for side in (-1, 1):
-        wing = [
-            [(*s1.at(side * x, y, 5 - x / 6), t), (*s1.at(side * x, y, -9), t), (*s2.at(side * 0.95 * x, y, 0), 0.8 * t),
-             (*s3.at(side * 0.75 * x, y - 1, 0), 0.55 * t), (*s4.at(side * 0.5 * x, y - 3, 0), 0.4 * t),
-             (*s5.at(side * 0.25 * x, y - 6, 0), 0.28 * t)]
-            for x, y, t in ((18, 4, 11), (34, 8, 12), (48, 14, 11))
-        ]  # fmt: skip
-        rows += [*sheet(wing, 2), capsule(s1.at(side * 20, 12, 4), s1.at(side * 21, 19, 16), (3, 6, 4), (3, 5, 3), s1.frame[1])]
-    backs = [v.at(0, v.body_back + reach, 0) for v, reach in zip(chain[:4], (20, 17, 13, 8), strict=True)]
-    rows += [capsule(a, b, (4, 6, 5), (4, 5, 4), (1, 0, 0)) for a, b in zip(backs[:-1], backs[1:], strict=True)]
-    for v, reach in zip(chain[:4], (17, 15, 11, 7), strict=True):
-        rows += [capsule(v.at(0, v.body_back + reach, 0), v.at(side * 20, v.body_back + reach - 6, 0), (3, 9, 4), thin=v.frame[1], rb=(3, 9, 5))
-                 for side in (-1, 1)]  # fmt: skip
-    canal = [s1.at(0, s1.body_back + 9, 20), s1.at(0, s1.body_back + 9, 0), s2.at(0, s2.body_back + 7, 0), s4.at(0, s4.body_back + 3, 0)]
-    for a, b, r in zip(canal[:-1], canal[1:], (11, 8, 5), strict=True):
-        rows.append(capsule(a, b, (1, 1.3 * r, 0.7 * r), (1, r, 0.5 * r), s1.frame[1], carve=True))
-    for v, x, r in zip(chain[:4], (19, 17, 15, 13), (4.8, 4.4, 3.8, 3.2), strict=True):
-        for side in (-1, 1):  # nearly level, so that a frontal radiograph shows them half open
-            hole = v.at(side * x, 4, -v.size["height"] / 2)
-            rows.append(capsule(hole + [side * 3, -30, -9], hole + [side, 35, 11], 1.2 * r, 0.7 * r, carve=True))
-    return np.stack(rows)

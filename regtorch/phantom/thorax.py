@@ -1,7 +1,7 @@
 """The bones of the chest and shoulder: twelve pairs of ribs with their cartilage, sternum, clavicles, scapulae."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from regtorch.phantom.raster import Part
 from regtorch.phantom.shapes import capsule, loft, sheet, side_of, smooth, tube
@@ -28,7 +28,8 @@ _WAY = ((0.38, -0.09, 0.12), (0.76, 0.06, 0.31), (0.97, 0.32, 0.53), (1.0, 0.52,
 
 _STERNUM = (  # x, y, z, half width, half depth
     (0, -31, 407, 24, 6.0), (0, -40, 390, 27, 6.5), (0, -53, 369, 17, 5.5), (0, -57, 360, 16, 5.0),
-    (0, -70, 320, 18, 5.0), (0, -80, 288, 19, 5.0), (0, -85, 270, 11, 4.5), (0, -86, 250, 6, 3.5), (0, -85, 238, 4, 2.5),
+    (0, -70, 320, 18, 5.0), (0, -80, 288, 19, 5.0), (0, -85, 270, 11, 4.5), (0, -86, 250, 6, 3.5),
+    (0, -85, 238, 4, 2.5),
 )  # fmt: skip
 _CLAVICLE = (  # x, y, z, wide, thin
     (19, -35, 405, 9.0, 8.0), (46, -36, 410, 6.5, 6.0), (82, -27, 417, 5.8, 5.5), (116, 7, 422, 6.5, 5.0),
@@ -52,9 +53,8 @@ def thorax_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> li
     bones, cartilage = [], []
     for number, (width, end, share, beyond) in enumerate(_RIBS, 1):
         for side in (-1, 1):
-            vary = rng.normal(0, [0.012, 2.0, 2.0, 2.5])
-            tip = side_of(end, side) + [0, *vary[2:]] + [side * vary[1], 0, 0]
-            path = _rib_path(vertebrae[f"T{number}"], side, width * (1 + vary[0]), tip, share)
+            tip = side_of(end, side) + rng.normal(0, (2.0, 2.0, 2.5))
+            path = _rib_path(vertebrae[f"T{number}"], side, width * rng.normal(1, 0.012), tip, share)
             bones.append(_rib(path, number))
             if beyond:
                 way = smooth(np.concatenate([path[-1:], side_of(beyond, side)]), 6)
@@ -95,12 +95,12 @@ def _rib(path: NDArray[np.float64], number: int) -> Part:
 
 
 def _shoulder(side: int, rng: np.random.Generator) -> list[Part]:
-    shift = rng.normal(0, 2.0, 3) + [0, 0, 3 * side]  # one shoulder stands a little higher
+    shift = rng.normal((0, 0, 3 * side), 2.0)  # the left shoulder stands a little higher
 
-    def place(points):
+    def place(points: ArrayLike) -> NDArray[np.float64]:
         return side_of(points, side) + shift
 
-    def place_sheet(grid):
+    def place_sheet(grid: ArrayLike) -> NDArray[np.float64]:
         grid = np.array(grid, float)
         return np.concatenate([place(grid[..., :3]), grid[..., 3:]], axis=-1)
 

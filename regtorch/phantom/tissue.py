@@ -1,6 +1,7 @@
 """Everything soft: skin, fat, muscle, lungs with vessels, heart, great vessels, organs of the abdomen, air."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from regtorch.phantom.raster import Part
 from regtorch.phantom.shapes import capsule, loft, side_of, smooth, tube
@@ -11,9 +12,10 @@ FAT, MUSCLE, LUNG, AIR = -95, 50, -830, -1000
 # Each section: x, y, z, half width, half depth, in LPS mm.
 _TRUNK = (
     (0, 25, 480, 57, 56), (0, 26, 462, 60, 60), (0, 27, 447, 80, 65), (0, 27, 436, 116, 69), (0, 31, 424, 156, 78),
-    (0, 35, 408, 178, 84), (0, 30, 388, 183, 94), (0, 24, 360, 180, 104), (0, 18, 320, 169, 110), (0, 11, 270, 161, 118),
-    (0, 5, 210, 153, 117), (0, 1, 140, 146, 107), (0, -4, 80, 148, 106), (0, -2, 30, 160, 109), (0, 6, -20, 170, 113),
-    (0, 10, -70, 176, 118), (0, 10, -120, 179, 117), (0, 8, -170, 178, 108), (0, 6, -230, 172, 100),
+    (0, 35, 408, 178, 84), (0, 30, 388, 183, 94), (0, 24, 360, 180, 104), (0, 18, 320, 169, 110),
+    (0, 11, 270, 161, 118), (0, 5, 210, 153, 117), (0, 1, 140, 146, 107), (0, -4, 80, 148, 106), (0, -2, 30, 160, 109),
+    (0, 6, -20, 170, 113), (0, 10, -70, 176, 118), (0, 10, -120, 179, 117), (0, 8, -170, 178, 108),
+    (0, 6, -230, 172, 100),
 )  # fmt: skip
 _WALL = (  # the muscular wall under the fat
     (0, 27, 485, 53, 51), (0, 28, 458, 56, 55), (0, 29, 438, 94, 61), (0, 32, 420, 146, 70), (0, 34, 404, 166, 76),
@@ -26,10 +28,18 @@ _BELLY = (  # inside the abdominal wall: fat about the organs
     (0, -14, -20, 84, 52), (0, 0, -60, 58, 46), (0, 6, -100, 44, 38), (0, 8, -118, 36, 28),
 )  # fmt: skip
 _LUNG = (  # left; the right one is a little wider
-    (38, 22, 437, 8, 9), (39, 23, 427, 13, 20), (43, 23, 412, 20, 31), (48, 22, 396, 33, 42), (57, 19, 371, 42, 57), (65, 16, 338, 51, 70),
-    (70, 10, 295, 58, 80), (71, 5, 255, 59, 80), (70, 3, 215, 56, 72), (67, 15, 180, 49, 52), (64, 30, 162, 36, 28),
+    (38, 23, 437, 3, 4), (38, 23, 433, 8, 12), (40, 23, 426, 13, 21), (43, 23, 412, 20, 31), (48, 22, 396, 33, 42),
+    (57, 19, 371, 42, 57), (65, 16, 338, 51, 70), (70, 10, 295, 58, 80), (71, 5, 255, 59, 80), (70, 3, 215, 56, 72),
+    (67, 15, 180, 49, 52), (64, 30, 162, 36, 28),
 )  # fmt: skip
-_AORTA = ((10, -20, 312), (4, -26, 345), (6, -16, 372), (20, 2, 380), (25, 18, 366), (24, 25, 330), (20, 20, 250), (12, 8, 190), (6, -12, 130), (3, -22, 62))
+_MEDIASTINUM = (
+    (0, 16, 445, 23, 32), (0, 10, 400, 19, 36), (1, -2, 350, 16, 52), (2, -8, 300, 16, 66), (2, -6, 240, 22, 74),
+    (0, 0, 190, 24, 66),
+)  # fmt: skip
+_AORTA = (
+    (10, -20, 312), (4, -26, 345), (6, -16, 372), (20, 2, 380), (25, 18, 366), (24, 25, 330), (20, 20, 250),
+    (12, 8, 190), (6, -12, 130), (3, -22, 62),
+)  # fmt: skip
 _CAVA = ((-20, -16, 436), (-22, -16, 400), (-24, -20, 350), (-21, -24, 310))
 _TRACHEA = ((0, -12, 490), (0, -8, 440), (0, 0, 400), (1, 4, 368))
 _BRONCHI = ((1, 4, 370), (20, 8, 350), (38, 10, 338))
@@ -38,13 +48,23 @@ _GAS = (  # pockets in the bowel and the stomach: middle, radii
     (-88, -46, 110, 15, 12, 20), (-40, -60, 122, 24, 10, 9), (22, -62, 112, 30, 10, 9), (10, 2, -66, 14, 12, 16),
     (30, -58, 46, 12, 9, 8), (-22, -52, 22, 14, 9, 8), (44, -36, 4, 12, 10, 10),
 )  # fmt: skip
+_PSOAS = (("T12", 22, 8), ("L1", 32, 14), ("L2", 37, 18), ("L3", 42, 22), ("L4", 48, 25), ("L5", 58, 25))
+_ORGANS = (  # from, to, radii (along, wide, deep) at both; HU, texture
+    (((-66, -8, 192), (-10, -34, 196), (74, 70, 84), (48, 50, 56)), 62, 12),  # liver
+    (((-78, -18, 160), (-82, -20, 108), (30, 46, 62), (16, 24, 34)), 62, 12),  # its lower margin
+    (((62, -8, 186), (62, -8, 186), (52, 62, 74), (52, 62, 74)), 42, 14),  # stomach under the left dome
+    (((98, 34, 182), (98, 34, 182), (44, 24, 36), (44, 24, 36)), 52, 8),  # spleen
+    (((62, 44, 168), (68, 36, 118), (14, 26, 22), (14, 25, 21)), 38, 8),  # kidneys: the right one is lower
+    (((-60, 42, 152), (-66, 34, 104), (14, 26, 22), (14, 25, 21)), 38, 8),
+    (((2, -22, -92), (2, -22, -92), (26, 40, 28), (26, 40, 28)), 12, 5),  # bladder
+)
 
 
-def _ball(x: float, y: float, z: float, wide: float, deep: float, tall: float) -> np.ndarray:
+def _ball(x: float, y: float, z: float, wide: float, deep: float, tall: float) -> NDArray[np.float64]:
     return capsule((x, y, z), (x, y, z), (tall, wide, deep), (tall, wide, deep))[None]
 
 
-def _mirrored(sections: tuple, side: int, widen: float = 1.0) -> np.ndarray:
+def _mirrored(sections: tuple, side: int, widen: float = 1.0) -> NDArray[np.float64]:
     table = side_of(sections, side)
     table[:, 3] *= widen
     return table
@@ -62,55 +82,51 @@ def tissue_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> li
 
 def _chest(rng: np.random.Generator) -> list[Part]:
     lungs = [Part(loft(_mirrored(_LUNG, side, 1.03 if side < 0 else 0.99)), LUNG, texture_hu=50) for side in (-1, 1)]
-    vessels = [Part(np.concatenate(_tree(side, rng)), 40) for side in (-1, 1)]
-    middle = [
-        Part(loft(((0, 16, 445, 23, 32), (0, 10, 400, 19, 36), (1, -2, 350, 16, 52), (2, -8, 300, 16, 66), (2, -6, 240, 22, 74), (0, 0, 190, 24, 66))), 20, texture_hu=14),
-        Part(np.stack([capsule((10, -34, 290), (44, -46, 258), (38, 46, 40), (30, 40, 36), (0, 1, 0))]), 45, texture_hu=12),
+    vessels = [Part(_tree(side, rng), 40) for side in (-1, 1)]
+    left_heart = capsule((10, -34, 290), (44, -46, 258), (38, 46, 40), (30, 40, 36))[None]
+    return [
+        *lungs,
+        *vessels,
+        Part(loft(_MEDIASTINUM), 20, texture_hu=14),
+        Part(left_heart, 45, texture_hu=12),
         Part(_ball(-15, -28, 274, 33, 36, 52), 45, texture_hu=12),
         Part(tube(smooth(_AORTA, 5), (8, 12.5, 12.5)), 48, texture_hu=8),
         Part(tube(smooth(_CAVA, 5), (8, 11, 11)), 45, texture_hu=8),
         Part(tube(_TRACHEA, (4, 8.5, 8.5)), AIR, 35, 1.2),
         *(Part(tube(side_of(_BRONCHI, side), (3, 6, 6)), AIR, 35, 1.0) for side in (-1, 1)),
-    ]  # fmt: skip
-    return [*lungs, *vessels, *middle]
+    ]
 
 
-def _tree(side: int, rng: np.random.Generator) -> list[np.ndarray]:
+def _tree(side: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Vessels that leave the hilum in all directions and fork once on their way."""
     hilum, rows = np.array([30.0 * side, 6.0, 330.0]), []
     for _ in range(13):
-        aim = hilum + [side * rng.uniform(30, 75), rng.uniform(-60, 55), rng.uniform(-105, 65)]
+        aim = hilum + rng.uniform((30, -60, -105), (75, 55, 65)) * (side, 1, 1)
         middle = (hilum + aim) / 2 + rng.normal(0, 8, 3)
-        rows.append(tube(smooth([hilum, middle, aim], 4), np.linspace(4.2, 1.4, 9)[:, None]))
+        rows.append(tube(smooth([hilum, middle, aim], 4), np.linspace(4.2, 1.4, 9)))
         for _ in range(2):
             twig = middle + (aim - middle) * 1.1 + rng.normal(0, 18, 3)
-            rows.append(tube(smooth([middle, (middle + twig) / 2 + rng.normal(0, 4, 3), twig], 3), np.linspace(2.4, 1.0, 7)[:, None]))
-    return rows
+            bend = (middle + twig) / 2 + rng.normal(0, 4, 3)
+            rows.append(tube(smooth([middle, bend, twig], 3), np.linspace(2.4, 1.0, 7)))
+    return np.concatenate(rows)
 
 
-def _pocket(middle: np.ndarray, radii: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _pocket(middle: ArrayLike, radii: ArrayLike, rng: np.random.Generator) -> NDArray[np.float64]:
     """Gas of an irregular outline: some balls about the middle that melt together."""
-    balls = [_ball(*(middle + radii * rng.uniform(-0.6, 0.6, 3)), *(radii * rng.uniform(0.4, 0.7, 3))) for _ in range(5)]
-    return np.concatenate(balls)
+    offsets, sizes = rng.uniform(-0.6, 0.6, (5, 3)), rng.uniform(0.4, 0.7, (5, 3))
+    return np.concatenate([_ball(*(middle + radii * o), *(radii * s)) for o, s in zip(offsets, sizes, strict=True)])
 
 
 def _abdomen(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> list[Part]:
-    spread = ((22, "T12", 8), (32, "L1", 14), (37, "L2", 18), (42, "L3", 22), (48, "L4", 25), (58, "L5", 25))
     psoas = [
-        tube([vertebrae[name].at(side * x, 2, 0) for x, name, _ in spread], [(6, r, r) for _, _, r in spread])
+        tube([vertebrae[name].at(side * x, 2, 0) for name, x, _ in _PSOAS], [(6, r, r) for *_, r in _PSOAS])
         for side in (-1, 1)
     ]
     loops = [_ball(*rng.uniform((-80, -75, -30), (80, -30, 110)), *rng.uniform(12, 20, 3)) for _ in range(26)]
-    organs = [
-        (np.concatenate(psoas), 55, 10),
-        (np.concatenate(loops), 32, 16),
-        (np.stack([capsule((-66, -8, 192), (-10, -34, 196), (74, 70, 84), (48, 50, 56), (0, 1, 0))]), 62, 12),  # liver
-        (capsule((-78, -18, 160), (-82, -20, 108), (30, 46, 62), (16, 24, 34))[None], 62, 12),  # its lower margin
-        (_ball(62, -8, 186, 62, 74, 52), 42, 14),  # left dome: stomach
-        (_ball(98, 34, 182, 24, 36, 44), 52, 8),  # spleen
-        (capsule((62, 44, 168), (68, 36, 118), (14, 26, 22), (14, 25, 21))[None], 38, 8),  # kidneys: the right one is lower
-        (capsule((-60, 42, 152), (-66, 34, 104), (14, 26, 22), (14, 25, 21))[None], 38, 8),
-        (_ball(2, -22, -92, 40, 28, 26), 12, 5),  # bladder
-    ]
     gas = [Part(_pocket(np.array(g[:3]), np.array(g[3:]), rng), -900, 35, 2.0, blend_mm=6.0) for g in _GAS]
-    return [*(Part(shape, hu, texture_hu=t) for shape, hu, t in organs), *gas]
+    return [
+        Part(np.concatenate(psoas), 55, texture_hu=10),
+        Part(np.concatenate(loops), 32, texture_hu=16),
+        *(Part(capsule(*ends)[None], hu, texture_hu=texture) for ends, hu, texture in _ORGANS),
+        *gas,
+    ]

@@ -12,7 +12,7 @@ from regtorch.imaging import Radiograph, Volume, coarsen, level
 
 Similarity = Callable[..., Float[Tensor, "b"]]
 
-_PIXELS_AT_ONCE = 1 << 20
+_PIXELS_AT_ONCE = 1 << 22
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,9 @@ def _from_sums(
     centred = [centred_(g, w.flatten(), peak(fixed[None])) for g in fixed_gradients]
     f = torch.cat([root_weighted * w.flatten().sqrt() for root_weighted, _ in centred]).view(2, *fixed.shape)
     one_over_f = torch.cat([scale for _, scale in centred]).double()
-    first, second, product = gradient_sums(images, f, w).unbind(-1)
+    sums, magnitude = gradient_sums(images, f, w)
+    first, second, product = sums.unbind(-1)
     total = w.sum(dtype=torch.float64).clamp(min=torch.finfo(torch.float64).tiny)
     length = (second - first.square() / total).clamp(min=0).sqrt()
-    varies = ~(length <= 8 * torch.finfo(images.dtype).eps * peak(images)[:, None] * total.sqrt())
+    varies = ~(length <= 8 * torch.finfo(images.dtype).eps * magnitude[:, None] * total.sqrt())
     return torch.where(varies, product * one_over_f / torch.where(varies, length, 1), 0).mean(1).to(images)

@@ -97,7 +97,7 @@ def test_no_dicom_in_the_folder(tmp_path: Path, ct_slice: Slices) -> None:
     with pytest.raises(RegtorchError, match="no DICOM image in this folder"):
         read_volume(tmp_path)
     write(tmp_path / "series", [ct_slice(0), ct_slice(1)])
-    with pytest.raises(RegtorchError, match="it holds 1 folders: name the one of the series"):
+    with pytest.raises(RegtorchError, match=r"it holds 1 folder.s.: name the one of the series"):
         read_volume(tmp_path)
 
 

@@ -1,0 +1,1 @@
+"""Studies: each file runs one from its configuration in conf/, or draws its figures from the table alone."""
