@@ -52,6 +52,8 @@ def _registered(
 ) -> dict[str, Any]:
     detector = Detector(**config.detector)
     initial = initial_parameters(ct, detector, view)
+    if config.z_obj_mm is not None:
+        initial[5] = config.z_obj_mm
     half_range = torch.tensor(
         [*config.range.source_mm, *config.range.patient_mm, *[math.radians(config.range.rotation_deg)] * 3]
     )
@@ -63,6 +65,7 @@ def _registered(
         view,
         method=instantiate(config.registration),
         free=dof,
+        initial=initial,
         seed=seed,
         progress=lambda share, what: tell(f"{100 * share:.0f} % {what}", refresh=False),
     )

@@ -15,10 +15,10 @@ from regtorch.geometry import (
     KEYS,
     VIEWS,
     Detector,
-    parameters_from_dict,
     parameters_from_matrix,
     project,
     world_from_ct,
+    world_from_patient_axes,
 )
 
 _SHARED = ("parameters", "view", "mirrored", "detector", "pixel_from_patient")
@@ -43,7 +43,7 @@ def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, A
     between where the two put a target, seen from the detector), ``targets`` (both, for each by name) and
     ``parameter_errors`` (result less truth, mm and degrees; angles the short way round).
     """
-    if result["view"] != truth["view"]:
+    if not torch.equal(*(world_from_patient_axes(d["view"]) for d in (result, truth))):  # LAT is LLAT
         raise RegtorchError(f"view {result['view']} of the result, expected {truth['view']} as in the truth")
     if not _same_detector(result["detector"], truth["detector"]):
         raise RegtorchError(f"detector {result['detector']} of the result, expected {truth['detector']} of the truth")
@@ -79,22 +79,42 @@ def read_json(path: str | Path, kind: Literal["result", "truth"]) -> dict[str, A
         raise RegtorchError(f"{path}: no {missing[0]!r}, expected a {kind}.json with it")
     try:
         _check(content)
-    except (TypeError, ValueError, KeyError, AttributeError, RuntimeError) as error:
+    except ValueError as error:
         raise RegtorchError(f"{path}: {error}, expected the values of a {kind}.json") from None
     return content
 
 
 def _check(content: dict[str, Any]) -> None:
-    parameters_from_dict(content["parameters"])
-    Detector(**content["detector"])
-    matrix = torch.tensor(content["pixel_from_patient"], dtype=torch.float64)
-    if matrix.shape != (3, 4):
-        raise ValueError(f"pixel_from_patient of shape {tuple(matrix.shape)}")
+    targets = content.get("targets_patient_mm", {"none": [0, 0, 0]})
+    parameters, detector = content["parameters"], content["detector"]
+    for key, value in (("parameters", parameters), ("detector", detector), ("targets_patient_mm", targets)):
+        if not isinstance(value, dict) or not value:
+            raise ValueError(f"{key} {value!r}")
+    if missing := [key for key in KEYS if key not in parameters]:
+        raise ValueError(f"no parameter {missing[0]!r}")
+    _check_numbers("parameters", [parameters[key] for key in KEYS], (9,))
+    _check_numbers("detector", [detector.get(key) for key in ("rows", "columns", "pixel_mm")], (3,))
+    _check_numbers("pixel_from_patient", content["pixel_from_patient"], (3, 4))
+    _check_numbers("targets_patient_mm", list(targets.values()), (len(targets), 3))
+    _detector(content)
     if content["view"] not in VIEWS:
         raise ValueError(f"unknown view {content['view']!r}")
-    targets = content.get("targets_patient_mm", {"none": (0, 0, 0)})
-    if not targets or any(len(point) != 3 for point in targets.values()):
-        raise ValueError(f"targets_patient_mm {targets!r}")
+    if not isinstance(content["mirrored"], bool):
+        raise ValueError(f"mirrored {content['mirrored']!r}")
+
+
+def _check_numbers(name: str, values: Any, shape: tuple[int, ...]) -> None:
+    try:
+        numbers = torch.tensor(values, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        numbers = torch.empty(0)
+    if numbers.shape != shape or not bool(numbers.isfinite().all()):
+        raise ValueError(f"{name} {values!r}, not {' x '.join(map(str, shape))} finite numbers")
+
+
+def _detector(content: Mapping[str, Any]) -> Detector:
+    grid = content["detector"]
+    return Detector(int(grid["rows"]), int(grid["columns"]), float(grid["pixel_mm"]))
 
 
 def _same_detector(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -104,7 +124,7 @@ def _same_detector(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 def _in_world(points: Float[Tensor, "n 3"], matrix: Float[Tensor, "3 4"], content: Mapping[str, Any]) -> Tensor:
     """Where a projection matrix to stored pixels puts points (LPS mm) relative to the detector."""
-    detector = Detector(**content["detector"])
+    detector = _detector(content)
     if content["mirrored"]:
         flip = matrix.new_tensor([[-1, 0, detector.columns - 1], [0, 1, 0], [0, 0, 1]])
         matrix = flip @ matrix

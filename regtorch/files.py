@@ -3,7 +3,7 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,25 +11,30 @@ from regtorch.errors import RegtorchError
 
 
 @contextmanager
-def output_folder(path: str | Path) -> Iterator[Path]:
+def output_folder(path: str | Path, names: Iterable[str] = ()) -> Iterator[Path]:
     """A temporary folder whose files are moved to ``path`` when the block ends well; otherwise nothing stays behind.
 
-    Raises ``RegtorchError`` at once when ``path`` cannot be written.
+    Raises ``RegtorchError`` at once when ``path``, or the files in it that will have these ``names``, cannot be
+    written. Other files in ``path`` stay.
     """
-    path = Path(path)
-    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    if not str(path):  # which pathlib takes for the current folder
+        raise RegtorchError("empty name, expected a folder to write to")
+    folder, missing, temporary = Path(path), [], None
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".regtorch-", dir=path))
-    except OSError as error:
-        _remove_empty(missing)
-        raise RegtorchError(f"{path}: {error.strerror}, expected a folder to write to") from None
-    try:
+        try:
+            missing = [f for f in (folder, *folder.parents) if not f.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+            temporary = Path(tempfile.mkdtemp(prefix=".regtorch-", dir=folder))
+        except OSError as error:
+            raise RegtorchError(f"{folder}: {error.strerror}, expected a folder to write to") from None
+        if taken := [name for name in names if (folder / name).is_dir()]:
+            raise RegtorchError(f"{folder / taken[0]}: a folder, expected a file to write")
         yield temporary
         for file in temporary.iterdir():
-            os.replace(file, path / file.name)
+            os.replace(file, folder / file.name)
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
         _remove_empty(missing)
 
 

@@ -71,12 +71,14 @@ def _main_axes(rays: np.ndarray, rows: int, columns: int) -> np.ndarray:
 def _slices(data: Tensor, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """The volume as slices across an axis with a border of air, and their tables; kept as long as the volume lives."""
     version, kept = _prepared.get(data, (None, {}))
-    if version != data._version:
+    if data.is_inference():  # torch does not count the changes of such a tensor
+        kept = {}
+    elif version != data._version:
         kept = {}
         _prepared[data] = (data._version, kept)
     if axis not in kept:
         across = np.moveaxis(data.numpy(), 2 - axis, 0)
-        slices = np.pad(across, ((0, 0), (1, 2), (1, 2)))
+        slices = np.ascontiguousarray(np.pad(across, ((0, 0), (1, 2), (1, 2))))
         kept[axis] = slices, _occupancy(slices)
     return kept[axis]
 
@@ -255,7 +257,7 @@ def _siddon(data, spacing, rays, images, chunks):
                     continue
                 for axis in range(3):
                     start = ray[axis] + enter * d[axis]
-                    at[axis] = min(max(int(math.floor(start + 0.5)), 0), size[axis] - 1)
+                    at[axis] = min(max(math.floor(start + 0.5), 0), size[axis] - 1)
                     step[axis] = 1 if d[axis] > 0 else -1
                     due[axis] = np.inf
                     if d[axis] != 0:

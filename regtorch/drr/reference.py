@@ -22,7 +22,7 @@ def project(
 ) -> Float[Tensor, "b rows columns"]:
     """Line integrals for twelve numbers per pose, a bounded number of rays at a time."""
     size = torch.tensor(data.shape[::-1], device=data.device)
-    samples_per_ray = 2 * int(size.double().norm()) + int(size.sum()) + 6
+    samples_per_ray = 2 * int((size + 1.0).norm()) + int(size.sum()) + 6
     chunk = max(1, _SAMPLES_AT_ONCE // samples_per_ray)
     integrate = {"siddon": _siddon, "joseph": _joseph, "trilinear": _trilinear}[method]
     images = []
@@ -49,7 +49,8 @@ def _siddon(data, source, direction, spacing_mm):
         crossings.append(torch.where(step == 0, enter[:, None], t))
     t = torch.cat(crossings, dim=1).clamp(enter[:, None], leave[:, None]).sort(dim=1).values
     middle = (t[:, 1:] + t[:, :-1]).detach() / 2
-    index = (source + middle[..., None] * direction[:, None]).round().long()
+    # A ray along a face between two voxels reads the upper one.
+    index = (source + middle[..., None] * direction[:, None] + 0.5).floor().long()
     i, j, k = torch.minimum(index.clamp(min=0), size - 1).unbind(-1)
     return (data[k, j, i] * t.diff(dim=1)).sum(1) * (direction * spacing_mm).norm(dim=1)
 
@@ -79,7 +80,7 @@ def _trilinear(data, source, direction, spacing_mm):
     """Equal steps of at most half a voxel along the part of the ray where the volume can be felt."""
     size = torch.tensor(data.shape[::-1], device=data.device)
     enter, leave = _span(source, direction, source.new_tensor(-1.0), size.to(data))
-    steps = 2 * int(size.double().norm()) + 2
+    steps = 2 * int((size + 1.0).norm()) + 2
     middle = (torch.arange(steps, device=data.device).to(data) + 0.5) / steps
     t = enter[:, None] + (leave - enter)[:, None] * middle
     points = source + t[..., None] * direction[:, None]

@@ -1,6 +1,6 @@
 """The front door of the projectors: CT and poses in, line integrals out."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
@@ -35,8 +35,11 @@ def render(
     ``auto`` takes the fastest that can do what is asked.
 
     Raises ``RegtorchError`` for HU, poses that are not finite or have their source not in front of the detector, and
-    for a backend that cannot do what is asked.
+    for a method or backend that is not known or a backend that cannot do what is asked.
     """
+    for what, name, known in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
+        if name not in known:
+            raise RegtorchError(f"{what} {name!r}: expected one of {', '.join(known)}")
     if volume.unit != "per_mm":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected attenuation per mm to render")
     if not bool(torch.isfinite(parameters).all()):

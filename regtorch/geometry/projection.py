@@ -70,7 +70,8 @@ def parameters_from_matrix(
     across, up = m[..., 0, :] + x_s[..., None] * q3, m[..., 1, :] + y_s[..., None] * q3
     lengths = torch.stack([across.norm(dim=-1), up.norm(dim=-1)], dim=-1)
     skew = (across * up).sum(-1).abs() / lengths.prod(-1)
-    if bool(((lengths[..., 0] / lengths[..., 1] - 1).abs() > 1e-3).any() or (skew > 1e-3).any()):
+    square = ((lengths[..., 0] / lengths[..., 1] - 1).abs() <= 1e-3) & (skew <= 1e-3)  # false for what is not finite
+    if not bool(square.all()):
         raise RegtorchError("projection matrix with skewed or oblong pixels: expected square ones")
     z_s = lengths.mean(-1)
     rotation = torch.stack([across, up, q3 * z_s[..., None]], dim=-2) / z_s[..., None, None]

@@ -22,9 +22,9 @@ _SEED = 2022
 def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float, float, float]]]:
     """A CT of a digital torso, 384 x 264 x 660 mm, and the middle of each vertebral body.
 
-    The same torso, bit for bit, at every call; another spacing samples the same torso, with partial volumes at its
-    edges. It is made for registration: vertebrae and ribs that nearly repeat, as in people, and no symmetry that
-    would let a mirror image pass. Sizes, curvatures and their sources stand in the tables of this package.
+    Every call makes the same torso; another spacing samples the same torso, with partial volumes at its edges. It is
+    made for registration: vertebrae and ribs that nearly repeat, as in people, and no symmetry that would let a mirror
+    image pass. Sizes, curvatures and their sources stand in the tables of this package.
 
     Args:
         spacing_mm: edge of the cubic voxels, 0.8 to 6 mm.

@@ -1,10 +1,10 @@
 """The hip bones and the upper ends of the femora."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Float
 
 from regtorch.phantom.raster import Part
-from regtorch.phantom.shapes import capsule, sheet, side_of, smooth, tube
+from regtorch.phantom.shapes import Numbers, Rows, capsule, sheet, side_of, smooth, tube
 
 # Left side, LPS mm; sizes are those of a middling adult: 275 mm between the iliac crests, 235 mm between the anterior
 # superior spines, 176 mm between the hips, whose axis lies under the sacral endplate so that the pelvic incidence is
@@ -45,15 +45,15 @@ def pelvis_parts(rng: np.random.Generator) -> list[Part]:
     return [part for side in (-1, 1) for part in _half(side, rng.normal(0, 1.2, 3))]
 
 
-def _half(side: int, shift: NDArray[np.float64]) -> list[Part]:
-    def place(points: ArrayLike) -> NDArray[np.float64]:
+def _half(side: int, shift: Float[np.ndarray, "3"]) -> list[Part]:
+    def place(points: Numbers) -> Float[np.ndarray, "*shape"]:
         return side_of(points, side) + shift
 
-    def ramus(table: ArrayLike) -> NDArray[np.float64]:
+    def ramus(table: Numbers) -> Rows:
         s = smooth(table, 4)
         return tube(place(s[:, :3]), s[:, [4, 3, 4]], (0, 1, 0.4))
 
-    def shaft(table: ArrayLike) -> NDArray[np.float64]:
+    def shaft(table: Numbers) -> Rows:
         s = smooth(table, 4)
         return tube(place(s[:, :3]), s[:, 3])
 

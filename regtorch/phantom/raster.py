@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import no_type_check
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit
-from numpy.typing import NDArray
 
 _FAR = 1e3
 _CELL_MM = 4.0
@@ -23,15 +23,15 @@ class Part:
     what distance solids of this part melt into each other.
     """
 
-    shapes: NDArray[np.float64]
-    core_hu: float
-    shell_hu: float = 0.0
-    shell_mm: float = 0.0
-    texture_hu: float = 0.0
-    blend_mm: float = 0.0
+    shapes: Float[np.ndarray, "n 28"]
+    core_hu: float | int
+    shell_hu: float | int = 0
+    shell_mm: float | int = 0
+    texture_hu: float | int = 0
+    blend_mm: float | int = 0
 
 
-def texture(seed: int) -> NDArray[np.float32]:
+def texture(seed: int) -> Float[np.ndarray, "n n n"]:
     """Periodic noise on a lattice, of wavelengths over about 10 mm, within -1 to 1."""
     noise = np.random.default_rng(seed).normal(size=(_LATTICE,) * 3)
     k = np.fft.fftfreq(_LATTICE, _CELL_MM)
@@ -40,7 +40,13 @@ def texture(seed: int) -> NDArray[np.float32]:
     return (noise / np.abs(noise).max()).astype(np.float32)
 
 
-def paint(volume: NDArray[np.float32], origin: NDArray[np.float64], spacing: float, parts: Sequence[Part], seed: int):
+def paint(
+    volume: Float[np.ndarray, "d h w"],
+    origin: Float[np.ndarray, "3"],
+    spacing: float,
+    parts: Sequence[Part],
+    seed: int,
+) -> None:
     """Paints ``parts`` in their order into ``volume`` [z, y, x] in HU; ``origin`` (x, y, z) is its first voxel in mm.
 
     Slabs are painted independently of each other, so the result does not depend on how many threads there are.
@@ -198,9 +204,11 @@ def _span(low, high, origin, spacing, margin, n):
 def _fill(volume, distance, origin, spacing, core, shell, thickness, amplitude, lattice):
     """Replaces what was there by shell and core, in the share of each voxel that they cover."""
     nz, ny, nx = volume.shape
-    cells = lattice.shape[0]
     for k in range(nz):
+        z0, z1, z = _cell(origin[2] + k * spacing)
         for j in range(ny):
+            y0, y1, y = _cell(origin[1] + j * spacing)
+            a, b, c, e = lattice[z0, y0], lattice[z0, y1], lattice[z1, y0], lattice[z1, y1]
             for i in range(nx):
                 d = distance[k, j, i]
                 outer = min(max(0.5 - d / spacing, 0.0), 1.0)
@@ -209,15 +217,17 @@ def _fill(volume, distance, origin, spacing, core, shell, thickness, amplitude, 
                 inner = min(max(0.5 - (d + thickness) / spacing, 0.0), 1.0)
                 value = core
                 if amplitude > 0 and inner > 0:
-                    gx = ((origin[0] + i * spacing) / _CELL_MM) % cells
-                    gy = ((origin[1] + j * spacing) / _CELL_MM) % cells
-                    gz = ((origin[2] + k * spacing) / _CELL_MM) % cells
-                    x, y, z = int(gx), int(gy), int(gz)
-                    fx, fy, fz = gx - x, gy - y, gz - z
-                    noise = 0.0
-                    for c in range(8):
-                        a, b, e = c & 1, (c >> 1) & 1, c >> 2
-                        weight = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if e else 1 - fz)
-                        noise += weight * lattice[(z + e) % cells, (y + b) % cells, (x + a) % cells]
-                    value += amplitude * noise
+                    x0, x1, x = _cell(origin[0] + i * spacing)
+                    below = (a[x0] * (1 - x) + a[x1] * x) * (1 - y) + (b[x0] * (1 - x) + b[x1] * x) * y
+                    above = (c[x0] * (1 - x) + c[x1] * x) * (1 - y) + (e[x0] * (1 - x) + e[x1] * x) * y
+                    value += amplitude * (below * (1 - z) + above * z)
                 volume[k, j, i] = volume[k, j, i] * (1 - outer) + shell * (outer - inner) + value * inner
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _cell(position):
+    """The lattice points before and after a position in mm, and how far it is from the one to the other."""
+    place = position / _CELL_MM + 100 * _LATTICE  # positive, so that int() rounds down
+    first = int(place)
+    return first % _LATTICE, (first + 1) % _LATTICE, place - first

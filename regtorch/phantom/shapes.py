@@ -7,26 +7,26 @@ Everything anatomical is made of these four, so that one compiled loop (``raster
 where ``carve`` = 1 takes the solid away from those before it, and the box bounds the solid.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Float
 
 CAPSULE, DRUM, TRIANGLE, SLICE = 0.0, 1.0, 2.0, 3.0
-ROW = 28
-Array = NDArray[np.float64]
+Numbers = float | int | Sequence | np.ndarray
+Row = Float[np.ndarray, "28"]
+Rows = Float[np.ndarray, "n 28"]
 
 
-def _row(kind: float, carve: bool, low: Array, high: Array, *fields: ArrayLike) -> Array:
-    row = np.zeros(ROW)
+def _row(kind: float, carve: bool, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], *fields: Numbers) -> Row:
+    row = np.zeros(28)
     values = np.concatenate([[kind, carve], low, high, *(np.ravel(f) for f in fields)])
     row[: len(values)] = values
     return row
 
 
-def capsule(
-    a: ArrayLike, b: ArrayLike, ra: ArrayLike, rb: ArrayLike, thin: ArrayLike = (0, 1, 0), *, carve: bool = False
-) -> Array:
+def capsule(a: Numbers, b: Numbers, ra: Numbers, rb: Numbers, thin: Numbers = (0, 1, 0), *, carve: bool = False) -> Row:
     """Elliptic capsule from ``a`` to ``b`` (mm), one row.
 
     ``ra`` and ``rb`` are the radii at its ends: one number, or three (along the axis, wide, thin). ``thin`` is the
@@ -47,16 +47,16 @@ def capsule(
 
 
 def drum(
-    centre: ArrayLike,
-    frame: Array,
-    height: float,
-    widths: ArrayLike,
-    depths: ArrayLike,
+    centre: Numbers,
+    frame: Float[np.ndarray, "3 3"],
+    height: float | int,
+    widths: Numbers,
+    depths: Numbers,
     *,
-    wedge: float = 0.0,
-    waist: float = 0.1,
-    dish: float = 1.0,
-) -> Array:
+    wedge: float | int = 0,
+    waist: float | int = 0.1,
+    dish: float | int = 1,
+) -> Row:
     """Vertebral body, one row: kidney-shaped sections, a waist, dished endplates.
 
     ``frame`` has the vertebra's left, posterior and superior axes as rows; ``widths`` and ``depths`` (mm) are those of
@@ -70,14 +70,14 @@ def drum(
     return _row(DRUM, False, centre - reach, centre + reach, centre, frame, height, a, waist, b, wedge, dish)
 
 
-def triangle(a: ArrayLike, b: ArrayLike, c: ArrayLike, radii: ArrayLike) -> Array:
+def triangle(a: Numbers, b: Numbers, c: Numbers, radii: Numbers) -> Row:
     """Flat triangle rounded by three radii (half of its thickness in mm at each corner), one row."""
     corners, radii = np.stack([a, b, c]).astype(float), np.asarray(radii, float)
     reach = radii.max()
     return _row(TRIANGLE, False, corners.min(0) - reach, corners.max(0) + reach, corners, [0] * 4, radii)
 
 
-def smooth(points: ArrayLike, pieces: int) -> Array:
+def smooth(points: Numbers, pieces: int) -> Float[np.ndarray, "..."]:
     """Catmull-Rom spline along the first axis through every point, ``pieces`` steps from one to the next."""
     p = np.asarray(points, float)
     p = np.concatenate([2 * p[:1] - p[1:2], p, 2 * p[-1:] - p[-2:-1]])
@@ -87,7 +87,7 @@ def smooth(points: ArrayLike, pieces: int) -> Array:
     return np.concatenate([curve.reshape(-1, *p.shape[1:]), p[-2:-1]])
 
 
-def tube(points: ArrayLike, radii: ArrayLike, thin: ArrayLike = (0, 1, 0)) -> Array:
+def tube(points: Numbers, radii: Numbers, thin: Numbers = (0, 1, 0)) -> Rows:
     """Capsules along a polyline: (n, 3) points, radii that broadcast to (n, 3), ``thin`` to (n, 3); n - 1 rows."""
     points = np.asarray(points, float)
     radii = np.asarray(radii, float)
@@ -97,8 +97,11 @@ def tube(points: ArrayLike, radii: ArrayLike, thin: ArrayLike = (0, 1, 0)) -> Ar
     return np.stack([capsule(*pair) for pair in pairs])
 
 
-def loft(sections: ArrayLike, pieces: int = 5) -> Array:
-    """A stack of level elliptic sections, each (x, y, z, half width, half depth) in mm, smoothly joined."""
+def loft(sections: Numbers, pieces: int = 5) -> Rows:
+    """A stack of level elliptic sections, each (x, y, z, half width, half depth) in mm, smoothly joined.
+
+    Its ends are cut at the nearest voxels.
+    """
     s = smooth(sections, pieces)
     s = s[np.argsort(s[:, 2])]
     rows = []
@@ -109,7 +112,7 @@ def loft(sections: ArrayLike, pieces: int = 5) -> Array:
     return np.stack(rows)
 
 
-def sheet(grid: ArrayLike, pieces: int = 4) -> Array:
+def sheet(grid: Numbers, pieces: int = 4) -> Rows:
     """A curved plate through a grid (r, c, 4) of (x, y, z, half thickness) in mm, as triangles."""
     g = smooth(np.swapaxes(smooth(grid, pieces), 0, 1), pieces)
     quads = zip(*(q.reshape(-1, 4) for q in (g[:-1, :-1], g[1:, :-1], g[1:, 1:], g[:-1, 1:])), strict=True)
@@ -117,7 +120,7 @@ def sheet(grid: ArrayLike, pieces: int = 4) -> Array:
     return np.stack([triangle(*(corner[:3] for corner in h), [corner[3] for corner in h]) for h in halves])
 
 
-def side_of(points: ArrayLike, side: int) -> Array:
+def side_of(points: Numbers, side: int) -> Float[np.ndarray, "*shape"]:
     """Points given for the patient's left (side 1), or their mirror image on the right (side -1)."""
     points = np.array(points, float)
     points[..., 0] *= side

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float
 
 # Bodies, pedicles, canals and processes are modelled on the means of Panjabi et al., Spine 16 (1991) 861 and 888
 # (cervical, thoracic) and 17 (1992) 299 (lumbar), the lumbar discs on Gilad and Nissan, Spine 11 (1986) 154. The tilts
@@ -53,10 +53,10 @@ class Vertebra:
 
     name: str
     size: dict[str, float]
-    centre: NDArray[np.float64]
-    frame: NDArray[np.float64]
+    centre: Float[np.ndarray, "3"]
+    frame: Float[np.ndarray, "3 3"]
 
-    def at(self, left: float, back: float, up: float) -> NDArray[np.float64]:
+    def at(self, left: float | int, back: float | int, up: float | int) -> Float[np.ndarray, "3"]:
         """LPS mm of a point given in mm along the vertebra's own axes, from the centre of its body."""
         return self.centre + np.array([left, back, up]) @ self.frame
 
@@ -100,7 +100,7 @@ def _vary(size: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
     return {k: v + rng.normal(0, 0.7) if k in angles else v * (1 + rng.normal(0, 0.02)) for k, v in size.items()}
 
 
-def _frame(tilt: float, roll: float, turn: float) -> NDArray[np.float64]:
+def _frame(tilt: float, roll: float, turn: float) -> Float[np.ndarray, "3 3"]:
     """Left, posterior and superior axis as rows, for degrees of tilt forward, to the left, and turn about the axis."""
     a, b, c = np.radians([tilt, roll, turn])
     about_x = np.array([[1, 0, 0], [0, np.cos(a), np.sin(a)], [0, -np.sin(a), np.cos(a)]])
@@ -109,7 +109,7 @@ def _frame(tilt: float, roll: float, turn: float) -> NDArray[np.float64]:
     return about_z @ about_x @ about_y
 
 
-def _step(upper: int, sizes: list[dict[str, float]], frames: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _step(upper: int, sizes: list[dict[str, float]], frames: list[Float[np.ndarray, "3 3"]]) -> Float[np.ndarray, "3"]:
     """From the centre of the body below to that of body number ``upper``."""
     up, down = frames[upper][2], frames[upper + 1][2]
     across = (up + down) / np.linalg.norm(up + down)

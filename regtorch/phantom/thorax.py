@@ -1,10 +1,10 @@
 """The bones of the chest and shoulder: twelve pairs of ribs with their cartilage, sternum, clavicles, scapulae."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Float
 
 from regtorch.phantom.raster import Part
-from regtorch.phantom.shapes import capsule, loft, sheet, side_of, smooth, tube
+from regtorch.phantom.shapes import Numbers, capsule, loft, sheet, side_of, smooth, tube
 from regtorch.phantom.spine import Vertebra
 
 # For each rib: the half width of the chest where the rib is outermost, where its bone ends in front (x, y, z on the
@@ -64,7 +64,9 @@ def thorax_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> li
     return [*cartilage, *bones, breastbone, *shoulders]
 
 
-def _rib_path(v: Vertebra, side: int, width: float, end: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+def _rib_path(
+    v: Vertebra, side: int, width: float, end: Float[np.ndarray, "3"], share: float
+) -> Float[np.ndarray, "n 3"]:
     """Middle of the bone from its head, over the transverse process, out, around and down to its front end."""
     half, deep = v.size["height"] / 2, v.body_back
     pillar = deep + 0.8 * v.size["canal_depth"]
@@ -82,7 +84,7 @@ def _rib_path(v: Vertebra, side: int, width: float, end: NDArray[np.float64], sh
     return curve[: max(2, round(share * len(curve)))]
 
 
-def _rib(path: NDArray[np.float64], number: int) -> Part:
+def _rib(path: Float[np.ndarray, "n 3"], number: int) -> Part:
     """A flat bone on edge, but the first, which lies; higher behind than in front."""
     along = np.gradient(path, axis=0)
     flat = np.cross(along, [0, 0, 1]) if number > 1 else np.tile([0.0, 0.3, 1.0], (len(path), 1))
@@ -97,10 +99,10 @@ def _rib(path: NDArray[np.float64], number: int) -> Part:
 def _shoulder(side: int, rng: np.random.Generator) -> list[Part]:
     shift = rng.normal((0, 0, 3 * side), 2.0)  # the left shoulder stands a little higher
 
-    def place(points: ArrayLike) -> NDArray[np.float64]:
+    def place(points: Numbers) -> Float[np.ndarray, "*shape"]:
         return side_of(points, side) + shift
 
-    def place_sheet(grid: ArrayLike) -> NDArray[np.float64]:
+    def place_sheet(grid: Numbers) -> Float[np.ndarray, "r c 4"]:
         grid = np.array(grid, float)
         return np.concatenate([place(grid[..., :3]), grid[..., 3:]], axis=-1)
 

@@ -1,10 +1,10 @@
 """Everything soft: skin, fat, muscle, lungs with vessels, heart, great vessels, organs of the abdomen, air."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Float
 
 from regtorch.phantom.raster import Part
-from regtorch.phantom.shapes import capsule, loft, side_of, smooth, tube
+from regtorch.phantom.shapes import Numbers, Rows, capsule, loft, side_of, smooth, tube
 from regtorch.phantom.spine import Vertebra
 
 FAT, MUSCLE, LUNG, AIR = -95, 50, -830, -1000
@@ -43,10 +43,11 @@ _AORTA = (
 _CAVA = ((-20, -16, 436), (-22, -16, 400), (-24, -20, 350), (-21, -24, 310))
 _TRACHEA = ((0, -12, 490), (0, -8, 440), (0, 0, 400), (1, 4, 368))
 _BRONCHI = ((1, 4, 370), (20, 8, 350), (38, 10, 338))
-_GAS = (  # pockets in the bowel and the stomach: middle, radii
-    (58, -28, 222, 34, 22, 15), (100, -30, 150, 14, 14, 24), (96, -40, 80, 14, 12, 22), (-92, -34, 60, 18, 15, 26),
-    (-88, -46, 110, 15, 12, 20), (-40, -60, 122, 24, 10, 9), (22, -62, 112, 30, 10, 9), (10, 2, -66, 14, 12, 16),
-    (30, -58, 46, 12, 9, 8), (-22, -52, 22, 14, 9, 8), (44, -36, 4, 12, 10, 10),
+_GAS = (  # pockets in the bowel and, the first, in the stomach: middle; radii (tall, wide, deep)
+    ((58, -28, 222), (15, 34, 22)), ((100, -30, 150), (24, 14, 14)), ((96, -40, 80), (22, 14, 12)),
+    ((-92, -34, 60), (26, 18, 15)), ((-88, -46, 110), (20, 15, 12)), ((-40, -60, 122), (9, 24, 10)),
+    ((22, -62, 112), (9, 30, 10)), ((10, 2, -66), (16, 14, 12)), ((30, -58, 46), (8, 12, 9)),
+    ((-22, -52, 22), (8, 14, 9)), ((44, -36, 4), (10, 12, 10)),
 )  # fmt: skip
 _PSOAS = (("T12", 22, 8), ("L1", 32, 14), ("L2", 37, 18), ("L3", 42, 22), ("L4", 48, 25), ("L5", 58, 25))
 _ORGANS = (  # from, to, radii (along, wide, deep) at both; HU, texture
@@ -60,11 +61,12 @@ _ORGANS = (  # from, to, radii (along, wide, deep) at both; HU, texture
 )
 
 
-def _ball(x: float, y: float, z: float, wide: float, deep: float, tall: float) -> NDArray[np.float64]:
-    return capsule((x, y, z), (x, y, z), (tall, wide, deep), (tall, wide, deep))[None]
+def _ball(middle: Numbers, radii: Numbers) -> Rows:
+    """An ellipsoid with the radii (tall, wide, deep)."""
+    return capsule(middle, middle, radii, radii)[None]
 
 
-def _mirrored(sections: tuple, side: int, widen: float = 1.0) -> NDArray[np.float64]:
+def _mirrored(sections: tuple, side: int, widen: float) -> Float[np.ndarray, "n 5"]:
     table = side_of(sections, side)
     table[:, 3] *= widen
     return table
@@ -89,7 +91,7 @@ def _chest(rng: np.random.Generator) -> list[Part]:
         *vessels,
         Part(loft(_MEDIASTINUM), 20, texture_hu=14),
         Part(left_heart, 45, texture_hu=12),
-        Part(_ball(-15, -28, 274, 33, 36, 52), 45, texture_hu=12),
+        Part(_ball((-15, -28, 274), (52, 33, 36)), 45, texture_hu=12),
         Part(tube(smooth(_AORTA, 5), (8, 12.5, 12.5)), 48, texture_hu=8),
         Part(tube(smooth(_CAVA, 5), (8, 11, 11)), 45, texture_hu=8),
         Part(tube(_TRACHEA, (4, 8.5, 8.5)), AIR, 35, 1.2),
@@ -97,7 +99,7 @@ def _chest(rng: np.random.Generator) -> list[Part]:
     ]
 
 
-def _tree(side: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def _tree(side: int, rng: np.random.Generator) -> Rows:
     """Vessels that leave the hilum in all directions and fork once on their way."""
     hilum, rows = np.array([30.0 * side, 6.0, 330.0]), []
     for _ in range(13):
@@ -111,10 +113,10 @@ def _tree(side: int, rng: np.random.Generator) -> NDArray[np.float64]:
     return np.concatenate(rows)
 
 
-def _pocket(middle: ArrayLike, radii: ArrayLike, rng: np.random.Generator) -> NDArray[np.float64]:
+def _pocket(middle: Float[np.ndarray, "3"], radii: Float[np.ndarray, "3"], rng: np.random.Generator) -> Rows:
     """Gas of an irregular outline: some balls about the middle that melt together."""
     offsets, sizes = rng.uniform(-0.6, 0.6, (5, 3)), rng.uniform(0.4, 0.7, (5, 3))
-    return np.concatenate([_ball(*(middle + radii * o), *(radii * s)) for o, s in zip(offsets, sizes, strict=True)])
+    return np.concatenate([_ball(middle + radii * o, radii * s) for o, s in zip(offsets, sizes, strict=True)])
 
 
 def _abdomen(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> list[Part]:
@@ -122,8 +124,8 @@ def _abdomen(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> list[P
         tube([vertebrae[name].at(side * x, 2, 0) for name, x, _ in _PSOAS], [(6, r, r) for *_, r in _PSOAS])
         for side in (-1, 1)
     ]
-    loops = [_ball(*rng.uniform((-80, -75, -30), (80, -30, 110)), *rng.uniform(12, 20, 3)) for _ in range(26)]
-    gas = [Part(_pocket(np.array(g[:3]), np.array(g[3:]), rng), -900, 35, 2.0, blend_mm=6.0) for g in _GAS]
+    loops = [_ball(rng.uniform((-80, -75, -30), (80, -30, 110)), rng.uniform(12, 20, 3)) for _ in range(26)]
+    gas = [Part(_pocket(*np.array(pocket, float), rng), -900, 35, 2.0, blend_mm=6.0) for pocket in _GAS]
     return [
         Part(np.concatenate(psoas), 55, texture_hu=10),
         Part(np.concatenate(loops), 32, texture_hu=16),

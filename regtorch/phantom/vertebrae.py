@@ -3,10 +3,9 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from regtorch.phantom.raster import Part
-from regtorch.phantom.shapes import capsule, drum, sheet
+from regtorch.phantom.shapes import Row, Rows, capsule, drum, sheet
 from regtorch.phantom.spine import Vertebra
 
 # The spinous process: radii (along, high, wide) at its root and at its tip; mm.
@@ -29,13 +28,13 @@ def spine_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> lis
     return [*parts, Part(_sacrum(vertebrae), 200, 720, 0.9, 60, 3.0)]
 
 
-def _body(v: Vertebra) -> NDArray[np.float64]:
+def _body(v: Vertebra) -> Row:
     s = v.size
     widths, depths = (s["lower_width"], s["upper_width"]), (s["lower_depth"], s["upper_depth"])
     return drum(v.centre, v.frame, s["height"], widths, depths, wedge=np.tan(np.radians(s["wedge"]) / 2))
 
 
-def _vertebra(v: Vertebra, rng: np.random.Generator) -> NDArray[np.float64]:
+def _vertebra(v: Vertebra, rng: np.random.Generator) -> Rows:
     """The body; on each side pedicle, facets, lamina and transverse process; the spinous process."""
     s, lumbar = v.size, v.name[0] == "L"
     half, wide, tall = s["height"] / 2, s["pedicle_width"] / 2, s["pedicle_height"] / 2
@@ -70,7 +69,7 @@ def _vertebra(v: Vertebra, rng: np.random.Generator) -> NDArray[np.float64]:
     return np.stack(rows)
 
 
-def _sacrum(vertebrae: dict[str, Vertebra]) -> NDArray[np.float64]:
+def _sacrum(vertebrae: dict[str, Vertebra]) -> Rows:
     """Fused bodies, the wings that meet the iliac bones, laminae and median crest; canal and foramina carved out."""
     rows = [_body(v) for v in vertebrae.values() if v.is_sacral]
     s1 = vertebrae["S1"]

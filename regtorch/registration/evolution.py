@@ -44,7 +44,7 @@ def evolution(
     coarse, fine = (problem.level(longest, voxel_per_pixel) for longest in pixels)
 
     def search(level: Level, stage: int, share: tuple[float, float], limit: int, *start: Tensor, **shape) -> Optimum:
-        def report(generation: int, running: int, cost: Float[Tensor, "n"]) -> None:
+        def report(generation: int, running: int, cost: Float[Tensor, " n"]) -> None:
             done = share[0] + (share[1] - share[0]) * generation / limit
             detector = level.fixed.detector
             what = f"{detector.columns} x {detector.rows} pixels, starts: {running}"
@@ -70,12 +70,12 @@ def evolution(
         return search(level, stage, share, final_generations, x, deviations * factor[:, None], covariance=covariance)
 
     all_starts = search(coarse, 0, (0, 0.6), generations, (low + high) / 2, sigma_fraction * (high - low))
-    chosen = _distinct(problem, all_starts, coarse.fixed.detector.pixel_mm)[:survivors]
+    apart_mm = coarse.fixed.detector.pixel_mm
+    chosen = _distinct(problem, all_starts, apart_mm)[:survivors]
     converged = go_on(coarse, 1, (0.6, 0.7), all_starts, chosen)
-    least = -least_share * converged.cost.min()
-    chosen = [
-        i for i in _distinct(problem, converged, coarse.fixed.detector.pixel_mm)[:finalists] if -converged.cost[i] >= least
-    ]
+    best = converged.cost.min()
+    worst = torch.maximum(best, least_share * best)
+    chosen = [start for start in _distinct(problem, converged, apart_mm)[:finalists] if converged.cost[start] <= worst]
     final = go_on(fine, 2, (0.7, 1), converged, chosen)
     order = all_starts.cost.argsort()
     return Found(
@@ -97,7 +97,9 @@ def _distinct(problem: Problem, found: Optimum, shift_mm: float) -> list[int]:
     return kept
 
 
-def _shift_mm(problem: Problem, means: Float[Tensor, "n d"], covariances: Float[Tensor, "n d d"]) -> Float[Tensor, "n"]:
+def _shift_mm(
+    problem: Problem, means: Float[Tensor, "n d"], covariances: Float[Tensor, "n d d"]
+) -> Float[Tensor, " n"]:
     """How far a draw from each distribution moves the points: root mean square over its axes together."""
     values, axes = torch.linalg.eigh(covariances)
     steps = axes * values.clamp(min=0).sqrt()[:, None]

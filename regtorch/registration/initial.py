@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.geometry import Detector, pixel_from_patient, project, world_from_patient_axes
+from regtorch.geometry import Detector, pixel_from_patient, project, world_from_ct, world_from_patient_axes
 from regtorch.imaging import Volume
 
 SDD_MM = 1000.0
@@ -44,8 +44,7 @@ def initial_parameters(
     parameters = torch.zeros(9, dtype=torch.float64)
     parameters[2] = sdd_mm
     parameters[5] = -float((body_corners_ct(ct) @ axes.mT)[:, 2].min())
-    if parameters[5] >= sdd_mm:
-        raise RegtorchError(f"SDD of {sdd_mm:g} mm: expected more than the patient's {float(parameters[5]):g} mm")
+    check_in_front(ct, parameters, view)
     if (landmark_patient_mm is None) != (landmark_image is None):
         raise RegtorchError("a landmark in only one of CT and radiograph: expected it in both or in neither")
     if landmark_patient_mm is not None and landmark_image is not None:
@@ -57,6 +56,16 @@ def initial_parameters(
         miss = (wanted - project(matrix, point)[0]) * detector.pixel_mm * depth / sdd_mm
         parameters[3:5] = miss * torch.tensor([1.0, -1.0])
     return parameters
+
+
+def check_in_front(ct: Volume, parameters: Float[Tensor, "9"], view: str) -> None:
+    """Raises ``RegtorchError`` unless the whole patient is on the detector's side of the source."""
+    height = (body_corners_ct(ct) @ world_from_ct(parameters, view)[:3, :3].mT)[:, 2] + parameters[5]
+    if not float(height.max()) < float(parameters[2]):
+        raise RegtorchError(
+            f"SDD of {float(parameters[2]):g} mm: the source is inside {ct.name} or below it, which reaches "
+            f"{float(height.max()):g} mm from the detector in this {view} view; expected a longer SDD"
+        )
 
 
 def body_corners_ct(ct: Volume) -> Float[Tensor, "8 3"]:

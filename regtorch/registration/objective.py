@@ -1,7 +1,7 @@
 """One level of the pyramid, ready to say how well any pose explains the radiograph."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -10,7 +10,7 @@ from torch import Tensor
 from regtorch.drr import render
 from regtorch.imaging import Radiograph, Volume, coarsen, level
 
-Similarity = Callable[..., Float[Tensor, "b"]]
+Similarity = Callable[..., Float[Tensor, " b"]]
 
 _PIXELS_AT_ONCE = 1 << 22
 
@@ -38,16 +38,18 @@ class Level:
         """At most ``longest`` pixels a side; voxels of ``voxel_per_pixel`` times a pixel's size in the patient."""
         fixed = level(radiograph, longest)
         voxel_mm = voxel_per_pixel * fixed.detector.pixel_mm / magnification
-        return cls(coarsen(attenuating, voxel_mm), fixed, view, similarity)
+        volume = coarsen(attenuating, voxel_mm)
+        device = volume.data.device
+        fixed = replace(fixed, image=fixed.image.to(device), weight=fixed.weight.to(device))
+        return cls(volume, fixed, view, similarity)
 
-    def similarities(self, parameters: Float[Tensor, "m 9"]) -> Float[Tensor, "m"]:
+    def similarities(self, parameters: Float[Tensor, "m 9"]) -> Float[Tensor, " m"]:
         """One number per pose, in bounded memory; only these and the parameters travel to and from the device."""
-        detector, device = self.fixed.detector, self.volume.data.device
-        fixed, weight = self.fixed.image.to(device), self.fixed.weight.to(device)
+        detector = self.fixed.detector
         at_once = max(1, _PIXELS_AT_ONCE // (detector.rows * detector.columns))
         found = []
         with torch.no_grad():
             for some in parameters.split(at_once):
                 moving = render(self.volume, some, detector, self.view)
-                found.append(self.similarity(moving, fixed, weight=weight).cpu().double())
-        return torch.cat(found) if found else parameters.new_zeros(0)
+                found.append(self.similarity(moving, self.fixed.image, weight=self.fixed.weight))
+        return torch.cat(found).cpu().double() if found else parameters.new_zeros(0)

@@ -35,14 +35,14 @@ class Problem:
     progress: Progress
 
     @property
-    def lower(self) -> Float[Tensor, "d"]:
+    def lower(self) -> Float[Tensor, " d"]:
         """Least values of the free parameters; the source stays in front of the detector."""
         lower = self.initial - self.half_range
         lower[2] = torch.maximum(lower[2], self.initial[2] / 4)
         return lower[self.free]
 
     @property
-    def upper(self) -> Float[Tensor, "d"]:
+    def upper(self) -> Float[Tensor, " d"]:
         return (self.initial + self.half_range)[self.free]
 
     def embed(self, values: Float[Tensor, "*b d"]) -> Float[Tensor, "*b 9"]:
@@ -57,7 +57,7 @@ class Problem:
         matrices = [pixel_from_patient(p, *place) for p in (parameters, others)]
         return projection_distances(*matrices, self.points, self.radiograph.detector.pixel_mm).mean(-1)
 
-    def sensitivity(self) -> Float[Tensor, "d"]:
+    def sensitivity(self) -> Float[Tensor, " d"]:
         """What a unit (mm, rad) of each free parameter does to the points in the detector plane, in mm."""
         step = self.half_range * 1e-3
         moved = (self.initial + torch.diag(step))[self.free]
@@ -78,5 +78,5 @@ class Found:
     parameters: Float[Tensor, "9"]
     similarity: float
     starts: Float[Tensor, "n 9"]
-    start_similarity: Float[Tensor, "n"]
+    start_similarity: Float[Tensor, " n"]
     evaluations: int

@@ -34,7 +34,7 @@ class Registration:
     message: str
     similarity: float
     starts: Float[Tensor, "n 9"]
-    start_similarity: Float[Tensor, "n"]
+    start_similarity: Float[Tensor, " n"]
     evaluations: int
     seconds: float
     device: str

@@ -10,7 +10,7 @@ _AGREE_MM = 10.0
 """Starts that project the anatomy this close to each other have found the same place on the first level."""
 
 _LEAST_SIMILARITY = 0.05
-"""Gradient correlation of unrelated images is about 0.01; that of a thresholded CT with a real radiograph 0.2 to 0.5."""
+"""Gradient correlation of unrelated images is about 0.01, that of bone alone with a whole radiograph 0.2 to 0.5."""
 
 
 def judge(problem: Problem, found: Found) -> tuple[Status, str]:

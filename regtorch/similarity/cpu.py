@@ -17,7 +17,7 @@ def can_sum(images: Tensor) -> bool:
 
 def gradient_sums(
     images: Float[Tensor, "n h w"], fixed: Float[Tensor, "2 h w"], weight: Float[Tensor, "h w"]
-) -> tuple[Float[Tensor, "n 2 3"], Float[Tensor, "n"]]:
+) -> tuple[Float[Tensor, "n 2 3"], Float[Tensor, " n"]]:
     """For the x- and the y-gradient m of each image: sums of w m, w m m and m f over all pixels, in float64.
 
     The second result is each image's root mean square.

@@ -79,6 +79,7 @@ def simulate(
     ``photons`` per pixel of the open beam adds quantum noise, drawn from ``seed``. ``targets`` (LPS mm) default to
     points spread over the bones; raises ``RegtorchError`` when the image shows none of them.
     """
+    parameters = parameters.double()
     named = dict(targets) if targets else _bone_points(ct)
     image = render(attenuation(ct, threshold_hu=threshold_hu), parameters, detector, view, method="siddon")
     if photons is not None:
@@ -89,7 +90,7 @@ def simulate(
     shown = {name: point for (name, point), seen in zip(named.items(), inside, strict=True) if seen}
     if not shown:
         raise RegtorchError(f"{ct.name}: none of {len(named)} targets is in the image, expected at least one")
-    return Simulation(image, parameters.double(), detector, view, matrix, shown, seed)
+    return Simulation(image, parameters, detector, view, matrix, shown, seed)
 
 
 def _bone_points(ct: Volume) -> dict[str, tuple[float, float, float]]:

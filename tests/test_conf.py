@@ -1,0 +1,34 @@
+"""Every component's YAML lists every option of its target, with the target's own default, and instantiates."""
+
+import inspect
+from pathlib import Path
+
+import pytest
+from hydra.utils import get_method, instantiate
+from omegaconf import OmegaConf
+
+_CONF = Path(__file__).parent.parent / "conf"
+_COMPONENTS = sorted(p for p in _CONF.glob("*/*.yaml") if "_target_" in OmegaConf.load(p))
+
+
+@pytest.mark.parametrize("path", _COMPONENTS, ids=lambda p: f"{p.parent.name}/{p.stem}")
+def test_component_lists_all_options_with_their_defaults(path: Path) -> None:
+    config = OmegaConf.load(path)
+    options = {
+        name: p.default
+        for name, p in inspect.signature(get_method(config._target_)).parameters.items()
+        if p.kind is p.KEYWORD_ONLY
+    }
+    listed = {key: value for key, value in config.items() if not key.startswith("_")}
+    assert set(listed) == set(options)
+    made = instantiate(config, _convert_="all").keywords
+    for name, default in options.items():
+        value = made[name]
+        if callable(default):
+            assert getattr(value, "func", value) is default
+        else:
+            assert (tuple(value) if isinstance(value, list) else value) == default
+
+
+def test_there_are_components() -> None:
+    assert _COMPONENTS
