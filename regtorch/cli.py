@@ -4,136 +4,30 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
-from regtorch import __version__
+from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, parser
 from regtorch.errors import RegtorchError
 
-_VIEWS = ("PA", "AP", "LAT", "LLAT", "RLAT")
-_VIEW_HELP = f"{', '.join(_VIEWS)} (LAT is LLAT: left side on the detector)"
-_CT_HELP = "folder of one DICOM series, NIfTI, NRRD or MHA"
-_TARGETS_HELP = "CSV of name,x,y,z (LPS mm)"
-_OK, _BAD_INPUT, _NOT_SURE, _INTERRUPTED = 0, 2, 3, 130
+_OK, _NOT_SURE, _INTERRUPTED = 0, 3, 130
 _DEMO_PHOTONS = 2e5
 _RESULTS = ("result.json", "overlay.png")
-_LEAST_PIXELS, _MOST_PIXELS = 8, 10_000
-"""A side of a radiograph: less shows nothing to register, more does not fit into memory."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
+    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate}[options.command]
     try:
-        return options.run(options)
+        return run(options)
     except (RegtorchError, OSError) as error:
         print(f"regtorch: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return _BAD_INPUT
+        return BAD_INPUT
     except KeyboardInterrupt:
         print("regtorch: interrupted, nothing written", file=sys.stderr)
         return _INTERRUPTED
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; argparse would print the usage as well."""
-
-    def error(self, message: str) -> NoReturn:
-        message = " ".join(message.split())
-        print(f"{self.prog}: error: {message} (see {self.prog} --help)", file=sys.stderr)
-        raise SystemExit(_BAD_INPUT)
-
-
-def _number(low: float, high: float, kind: Callable[[str], float] = float) -> Callable[[str], float]:
-    """What reads an option's value; argparse puts the option's name before what this has to say."""
-
-    def read(text: str) -> float:
-        try:
-            value = kind(text)
-        except ValueError:
-            value = math.nan
-        if low <= value <= high:
-            return value
-        what = "a whole number" if kind is int else "a number"
-        raise argparse.ArgumentTypeError(f"{text!r}, expected {what} from {low:.12g} to {high:.12g}")
-
-    return read
-
-
-_COORDINATE = _number(-1e5, 1e5)
-_HALF_RANGE_MM = _number(0, 1e4)
-_PIXEL_MM = _number(1e-3, 100)
-_SDD_MM = _number(1, 1e5)
-_SIDE = _number(_LEAST_PIXELS, _MOST_PIXELS, int)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="regtorch",
-        description="Registers one radiograph to one CT: where source, patient and detector stood, nine parameters.",
-        epilog="Exit codes: 0 done; 2 bad input or usage, nothing written; 3 done, but doubtful or failed.",
-    )
-    parser.add_argument("--version", action="version", version=f"regtorch {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-
-    add = _command(commands, _demo, "demo", "simulate a radiograph of the embedded phantom and register it")
-    add("--out", default="regtorch-demo", metavar="DIR", help="folder to write to (%(default)s)")
-    add("--view", default="PA", choices=_VIEWS, metavar="VIEW", help=f"{_VIEW_HELP} (%(default)s)")
-    _add_seed_and_threads(add)
-
-    add = _command(commands, _simulate, "simulate", "make a radiograph of a CT, and the truth about it")
-    add("ct", metavar="CT", help=_CT_HELP)
-    add("--view", required=True, choices=_VIEWS, metavar="VIEW", help=_VIEW_HELP)
-    add("--out", required=True, metavar="DIR", help="folder for radiograph.(tiff|png|dcm) and truth.json")
-    add("--format", default="tiff", choices=("tiff", "png", "dcm"), help="of the radiograph (%(default)s)")
-    add("--rows", type=_SIDE, default=500, metavar="N", help="of the detector (%(default)s)")
-    add("--columns", type=_SIDE, default=500, metavar="N", help="of the detector (%(default)s)")
-    add("--pixel-mm", type=_PIXEL_MM, default=0.7, metavar="MM", help="of the detector (%(default)s)")
-    add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance, middle of its range (1000)")
-    for what in ("source", "patient"):
-        name, text = f"--{what}-range-mm", f"half range of the {what}'s position about the protocol's (25 25 50)"
-        add(name, type=_HALF_RANGE_MM, nargs=3, default=(25, 25, 50), metavar=("X", "Y", "Z"), help=text)
-    add("--rotation-range-deg", type=_number(0, 180), default=5, metavar="DEG", help="half range of each angle (5)")
-    add("--threshold-hu", type=_COORDINATE, metavar="HU", help="render only what is above (default: the whole CT)")
-    add("--photons", type=_number(1, 1e12), metavar="N", help="per pixel of the open beam: adds quantum noise")
-    add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} for truth.json (default: points on the bones)")
-    _add_seed_and_threads(add)
-
-    add = _command(commands, _register, "register", "find where source, patient and detector stood")
-    add("ct", metavar="CT", help=_CT_HELP)
-    add("radiograph", metavar="RADIOGRAPH", help="DICOM, 16-bit PNG or TIFF")
-    add("--view", required=True, choices=_VIEWS, metavar="VIEW", help=_VIEW_HELP)
-    add("--out", required=True, metavar="DIR", help="folder for result.json and overlay.png")
-    add("--dof", type=int, default=9, choices=(9, 7, 6), help="what is sought: 9 all, 7 SDD and patient, 6 patient (9)")
-    add("--method", default="cmaes", choices=("cmaes", "pycma"), help="the paper's, or the same by package cma (cmaes)")
-    add("--pixel-mm", type=_PIXEL_MM, metavar="MM", help="pixel size; overrules the file's")
-    add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance to begin with (the file's, else 1000)")
-    add("--landmark-ct", type=_COORDINATE, nargs=3, metavar=("X", "Y", "Z"), help="a point of the CT, LPS mm ...")
-    where = ("COLUMN", "ROW")
-    add("--landmark-radiograph", type=_COORDINATE, nargs=2, metavar=where, help="... and the pixel of the file there")
-    add("--intensity", default="auto", choices=("auto", "line", "counts"), help="line integrals or counts (auto)")
-    add("--mirrored", default="auto", choices=("auto", "yes", "no"), help="shown as from the detector's side (auto)")
-    add("--mask", metavar="FILE", help="PNG or TIFF of the radiograph's size: 0 where it is to be ignored")
-    add("--threshold-hu", type=_COORDINATE, default=100, metavar="HU", help="below, the CT counts as air (%(default)s)")
-    add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} to show in overlay.png")
-    _add_seed_and_threads(add)
-
-    add = _command(commands, _evaluate, "evaluate", "compare a result with the truth")
-    add("result", metavar="RESULT", help="result.json")
-    add("truth", metavar="TRUTH", help="truth.json")
-    add("--json", metavar="FILE", nargs="?", const="-", help="also write it to FILE; without FILE print it as JSON")
-    return parser
-
-
-def _command(commands: Any, run: Callable[[argparse.Namespace], int], name: str, text: str) -> Callable[..., Any]:
-    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    parser.set_defaults(run=run)
-    return parser.add_argument
-
-
-def _add_seed_and_threads(add: Callable[..., Any]) -> None:
-    add("--seed", type=_number(0, 2**32 - 1, int), default=0, metavar="N", help="of everything random (%(default)s)")
-    add("--threads", type=int, metavar="N", help="processor threads (all)")
 
 
 def _use_threads(threads: int | None) -> None:
@@ -227,9 +121,9 @@ def _register(options: argparse.Namespace) -> int:
             mask=options.mask,
         )
         rows, columns = radiograph.image.shape
-        if min(rows, columns) < _LEAST_PIXELS:
+        if min(rows, columns) < LEAST_PIXELS:
             raise RegtorchError(
-                f"{options.radiograph}: {rows} x {columns} pixels, expected at least {_LEAST_PIXELS} each way"
+                f"{options.radiograph}: {rows} x {columns} pixels, expected at least {LEAST_PIXELS} each way"
             )
         targets = read_points(options.targets) if options.targets else {}
         if options.landmark_ct is not None:

@@ -17,8 +17,8 @@ from regtorch.geometry import (
     Detector,
     parameters_from_matrix,
     project,
+    same_view,
     world_from_ct,
-    world_from_patient_axes,
 )
 
 _SHARED = ("parameters", "view", "mirrored", "detector", "pixel_from_patient")
@@ -43,7 +43,7 @@ def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, A
     between where the two put a target, seen from the detector), ``targets`` (both, for each by name) and
     ``parameter_errors`` (result less truth, mm and degrees; angles the short way round).
     """
-    if not torch.equal(*(world_from_patient_axes(d["view"]) for d in (result, truth))):  # LAT is LLAT
+    if not same_view(result["view"], truth["view"]):
         raise RegtorchError(f"view {result['view']} of the result, expected {truth['view']} as in the truth")
     if not _same_detector(result["detector"], truth["detector"]):
         raise RegtorchError(f"detector {result['detector']} of the result, expected {truth['detector']} of the truth")
@@ -71,7 +71,7 @@ def read_json(path: str | Path, kind: Literal["result", "truth"]) -> dict[str, A
         content = json.loads(Path(path).read_text())
     except FileNotFoundError:
         raise RegtorchError(f"{path}: no such file, expected a {kind}.json") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, UnicodeDecodeError, RecursionError, json.JSONDecodeError) as error:
         raise RegtorchError(f"{path}: cannot be read as JSON ({error}), expected a {kind}.json") from None
     if not isinstance(content, dict):
         raise RegtorchError(f"{path}: a {type(content).__name__} at the top, expected the object of a {kind}.json")

@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from regtorch.errors import RegtorchError
@@ -40,5 +40,5 @@ def output_folder(path: str | Path, names: Iterable[str] = ()) -> Iterator[Path]
 
 def _remove_empty(folders: list[Path]) -> None:
     for folder in folders:
-        if folder.is_dir() and not any(folder.iterdir()):
+        with suppress(OSError):  # not empty, or never made
             folder.rmdir()

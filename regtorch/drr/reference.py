@@ -47,7 +47,8 @@ def _siddon(data, source, direction, spacing_mm):
         step = direction[:, axis, None]
         t = (faces - source[axis]) / torch.where(step == 0, torch.ones_like(step), step)
         crossings.append(torch.where(step == 0, enter[:, None], t))
-    t = torch.cat(crossings, dim=1).clamp(enter[:, None], leave[:, None]).sort(dim=1).values
+    # Not clamp: its derivative is wrong where both limits are the same, which is how a ray misses the volume.
+    t = torch.minimum(torch.maximum(torch.cat(crossings, dim=1), enter[:, None]), leave[:, None]).sort(dim=1).values
     middle = (t[:, 1:] + t[:, :-1]).detach() / 2
     # A ray along a face between two voxels reads the upper one.
     index = (source + middle[..., None] * direction[:, None] + 0.5).floor().long()

@@ -17,7 +17,7 @@ from regtorch.geometry.projection import (
 )
 from regtorch.geometry.rays import cone_beam_rays
 from regtorch.geometry.rotation import euler_from_rotation, rotation_from_euler
-from regtorch.geometry.views import VIEWS, world_from_patient_axes
+from regtorch.geometry.views import VIEWS, same_view, world_from_patient_axes
 
 __all__ = [
     "KEYS",
@@ -34,6 +34,7 @@ __all__ = [
     "pixel_from_world",
     "project",
     "rotation_from_euler",
+    "same_view",
     "world_from_ct",
     "world_from_patient_axes",
 ]

@@ -51,4 +51,5 @@ def parameters_from_dict(values: Mapping[str, float]) -> Float[Tensor, "9"]:
     """The inverse of ``parameters_to_dict``, in float64; every key is needed."""
     if missing := [key for key in KEYS if key not in values]:
         raise RegtorchError(f"parameter {missing[0]!r} is missing: expected {', '.join(KEYS)}")
-    return torch.tensor([float(values[key]) / unit for key, unit in zip(KEYS, _PER_KEY, strict=True)]).double()
+    numbers = [float(values[key]) / unit for key, unit in zip(KEYS, _PER_KEY, strict=True)]
+    return torch.tensor(numbers, dtype=torch.float64)

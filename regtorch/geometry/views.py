@@ -27,3 +27,8 @@ def world_from_patient_axes(view: str) -> Float[Tensor, "3 3"]:
     if view not in _AXES:
         raise RegtorchError(f"unknown view {view!r}: expected one of {', '.join(VIEWS)}")
     return torch.tensor(_AXES[view], dtype=torch.float64)
+
+
+def same_view(one: str, other: str) -> bool:
+    """Whether two names mean the same view, as LAT and LLAT do; a name that is none is the same as nothing."""
+    return one in _AXES and _AXES[one] == _AXES.get(other)

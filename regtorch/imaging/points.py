@@ -1,6 +1,7 @@
 """Points on the anatomy, spread evenly: what accuracy is asked of where nobody named targets."""
 
 import csv
+import math
 from pathlib import Path
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.imaging.averaging import coarsen
+from regtorch.imaging.files import one_line
 from regtorch.imaging.volume import Volume
 
 _GRID_MM = 6.0
@@ -38,15 +40,23 @@ def read_points(path: str | Path) -> dict[str, tuple[float, float, float]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             for number, line in enumerate(csv.reader(file), 1):
-                if not line or (number == 1 and line[1:4] == ["x", "y", "z"]):
+                if not line or (not points and line[1:4] == ["x", "y", "z"]):
                     continue
-                name, *numbers = line
-                x, y, z = map(float, numbers)
-                points[name] = (x, y, z)
+                points[line[0]] = _coordinates(f"{path}: line {number}", line)
     except OSError as error:
         raise RegtorchError(f"{path}: {error.strerror}, expected a CSV file of name,x,y,z in LPS mm") from None
-    except (ValueError, UnicodeDecodeError):
-        raise RegtorchError(f"{path}: line {number} is {line!r}, expected name,x,y,z in LPS mm") from None
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise RegtorchError(f"{path}: no text ({error}), expected a CSV file of name,x,y,z in LPS mm") from None
     if not points:
         raise RegtorchError(f"{path}: no points, expected lines of name,x,y,z in LPS mm")
     return points
+
+
+def _coordinates(where: str, line: list[str]) -> tuple[float, float, float]:
+    try:
+        x, y, z = map(float, line[1:])
+    except ValueError:
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        raise RegtorchError(f"{where} is {one_line(line)}, expected name,x,y,z in LPS mm")
+    return x, y, z

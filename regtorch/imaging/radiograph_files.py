@@ -12,7 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.geometry import Detector, world_from_patient_axes
+from regtorch.geometry import Detector, same_view, world_from_patient_axes
 from regtorch.imaging.dicom_radiograph import StoredRadiograph, read_dicom
 from regtorch.imaging.field import exposed_field
 from regtorch.imaging.files import is_dicom, one_line
@@ -109,7 +109,7 @@ def _plain(path: Path, view: str, intensity: str, pixel_mm: float | None) -> Sto
     values, text = _grey(path)
     metadata = _metadata(text)
     warnings = []
-    if "view" in metadata and metadata["view"] != view:
+    if "view" in metadata and not same_view(str(metadata["view"]), view):
         warnings.append(f"written as a {metadata['view']} view, but it is read as {view}")
     numbers = {}
     for key in ("pixel_mm", "sdd_mm"):

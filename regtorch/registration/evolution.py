@@ -13,6 +13,8 @@ from regtorch.optimization import Optimum, cma_es, kd_partition
 from regtorch.registration.objective import Level
 from regtorch.registration.problem import Found, Problem
 
+_SMALL = 1e-3
+
 
 def evolution(
     problem: Problem,
@@ -69,14 +71,14 @@ def evolution(
         factor = restart_shift_mm / _shift_mm(problem, x, covariance)
         return search(level, stage, share, final_generations, x, deviations * factor[:, None], covariance=covariance)
 
-    all_starts = search(coarse, 0, (0, 0.6), generations, (low + high) / 2, sigma_fraction * (high - low))
+    all_starts = search(coarse, 0, (0.0, 0.6), generations, (low + high) / 2, sigma_fraction * (high - low))
     apart_mm = coarse.fixed.detector.pixel_mm
     chosen = _distinct(problem, all_starts, apart_mm)[:survivors]
     converged = go_on(coarse, 1, (0.6, 0.7), all_starts, chosen)
     best = converged.cost.min()
     worst = torch.maximum(best, least_share * best)
     chosen = [start for start in _distinct(problem, converged, apart_mm)[:finalists] if converged.cost[start] <= worst]
-    final = go_on(fine, 2, (0.7, 1), converged, chosen)
+    final = go_on(fine, 2, (0.7, 1.0), converged, chosen)
     order = all_starts.cost.argsort()
     return Found(
         parameters=problem.embed(final.x[final.best]),
@@ -100,8 +102,8 @@ def _distinct(problem: Problem, found: Optimum, shift_mm: float) -> list[int]:
 def _shift_mm(
     problem: Problem, means: Float[Tensor, "n d"], covariances: Float[Tensor, "n d d"]
 ) -> Float[Tensor, " n"]:
-    """How far a draw from each distribution moves the points: root mean square over its axes together."""
+    """How far a draw from each distribution moves the points, to first order: root of the sum over its axes."""
     values, axes = torch.linalg.eigh(covariances)
     steps = axes * values.clamp(min=0).sqrt()[:, None]
-    moved = problem.embed(means[:, None] + steps.mT)
-    return problem.shift_mm(moved, problem.embed(means)[:, None]).square().sum(1).sqrt()
+    moved = problem.embed(means[:, None] + _SMALL * steps.mT)
+    return problem.shift_mm(moved, problem.embed(means)[:, None]).square().sum(1).sqrt() / _SMALL

@@ -63,8 +63,8 @@ def check_in_front(ct: Volume, parameters: Float[Tensor, "9"], view: str) -> Non
     height = (body_corners_ct(ct) @ world_from_ct(parameters, view)[:3, :3].mT)[:, 2] + parameters[5]
     if not float(height.max()) < float(parameters[2]):
         raise RegtorchError(
-            f"SDD of {float(parameters[2]):g} mm: the source is inside {ct.name} or below it, which reaches "
-            f"{float(height.max()):g} mm from the detector in this {view} view; expected a longer SDD"
+            f"SDD of {float(parameters[2]):g} mm: in this {view} view {ct.name} reaches {float(height.max()):g} mm "
+            "from the detector, expected the source beyond it"
         )
 
 

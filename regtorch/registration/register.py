@@ -52,6 +52,8 @@ def register(
     that went wrong is no error but has the status ``failed`` or ``doubtful``, and says why.
     """
     began = time.perf_counter()
+    if not 0 <= seed < 2**32:
+        raise RegtorchError(f"seed {seed}: expected a whole number from 0 to {2**32 - 1}")
     detector = radiograph.detector
     moving = free_indices(free)
     if initial is None:
@@ -65,13 +67,18 @@ def register(
             landmark_image=landmark,
         )
     attenuating = crop_to_anatomy(attenuation(ct, threshold_hu=threshold_hu))
+    half_range = torch.tensor(SEARCH) if half_range is None else half_range
+    if not bool((half_range[moving] > 0).all()):
+        raise RegtorchError(
+            f"half range {half_range.tolist()}: expected more than 0 for what may move; freeze the rest"
+        )
     problem = Problem(
         attenuating=attenuating,
         radiograph=radiograph,
         view=view,
         similarity=similarity,
         initial=initial.double(),
-        half_range=torch.tensor(SEARCH, dtype=torch.float64) if half_range is None else half_range.double(),
+        half_range=half_range.double(),
         free=moving,
         points=_points_in_image(attenuating, radiograph, initial, view),
         seed=seed,
@@ -101,6 +108,14 @@ def register(
 
 
 def _unstored(radiograph: Radiograph, stored: Point2) -> Point2:
+    """Where the image seen from the source has a pixel of the file."""
+    size = torch.tensor([radiograph.detector.columns, radiograph.detector.rows], dtype=torch.float64)
+    columns, rows = (radiograph.stored_from_pixel[:2, :2].abs() @ size).int().tolist()
+    if not (-0.5 <= stored[0] <= columns - 0.5 and -0.5 <= stored[1] <= rows - 0.5):
+        raise RegtorchError(
+            f"{radiograph.name}: landmark at (column, row) ({stored[0]:g}, {stored[1]:g}), "
+            f"expected it inside the image of {columns} x {rows} pixels"
+        )
     pixel = torch.linalg.solve(radiograph.stored_from_pixel, torch.tensor([*stored, 1.0], dtype=torch.float64))
     return float(pixel[0]), float(pixel[1])
 

@@ -80,6 +80,8 @@ def simulate(
     points spread over the bones; raises ``RegtorchError`` when the image shows none of them.
     """
     parameters = parameters.double()
+    if detector.centre_mm != (0.0, 0.0):
+        raise RegtorchError(f"detector centred on {detector.centre_mm} mm, expected a whole one, on (0, 0)")
     named = dict(targets) if targets else _bone_points(ct)
     image = render(attenuation(ct, threshold_hu=threshold_hu), parameters, detector, view, method="siddon")
     if photons is not None:

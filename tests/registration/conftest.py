@@ -1,0 +1,53 @@
+"""A phantom on coarse voxels, a small detector, and a radiograph of both that bone alone explains."""
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import Tensor
+
+from regtorch.geometry import Detector
+from regtorch.imaging import Radiograph, Volume, attenuation, crop_to_anatomy
+from regtorch.imaging.points import spread_points
+from regtorch.phantom import make_phantom
+from regtorch.registration import initial_parameters
+from regtorch.registration.problem import Problem
+from regtorch.similarity import gradient_correlation
+from regtorch.simulation import Simulation, simulate
+
+DETECTOR = Detector(100, 80, 3.5)
+OFF = (15.0, -10.0, 30.0, 10.0, -12.0, 20.0, 0.04, -0.05, 0.03)
+HALF_RANGE = (30.0, 30.0, 60.0, 30.0, 30.0, 60.0, 0.1, 0.1, 0.1)
+
+
+@dataclass(frozen=True)
+class Pair:
+    ct: Volume
+    initial: Tensor
+    truth: Simulation
+    radiograph: Radiograph
+
+    def problem(self, free: list[int], **changes: object) -> Problem:
+        attenuating = crop_to_anatomy(attenuation(self.ct))
+        settings = {
+            "attenuating": attenuating,
+            "radiograph": self.radiograph,
+            "view": "PA",
+            "similarity": gradient_correlation,
+            "initial": self.initial,
+            "half_range": torch.tensor(HALF_RANGE, dtype=torch.float64),
+            "free": free,
+            "points": spread_points(attenuating, 24),
+            "seed": 0,
+            "progress": lambda share, what: None,
+        }
+        return Problem(**(settings | changes))
+
+
+@pytest.fixture(scope="session")
+def pair() -> Pair:
+    ct, targets = make_phantom(6.0)
+    initial = initial_parameters(ct, DETECTOR, "PA")
+    true = initial + torch.tensor(OFF, dtype=torch.float64)
+    truth = simulate(ct, true, "PA", detector=DETECTOR, threshold_hu=100.0, targets=targets)
+    return Pair(ct, initial, truth, Radiograph.from_image(truth.image, DETECTOR))

@@ -1,0 +1,67 @@
+"""How far a result can be trusted, from what the search saw."""
+
+import math
+
+import pytest
+import torch
+
+from regtorch.registration.problem import Found
+from regtorch.registration.verdict import judge
+
+ALL, PATIENT = list(range(9)), [3, 4, 5, 6, 7, 8]
+
+
+def _found(pair, starts_at: list[float], start_similarity: list[float], similarity: float = 0.5, **moved) -> Found:
+    """Starts that ended ``starts_at`` mm (x_obj) beside the answer."""
+    answer = pair.initial.clone()
+    for index, value in moved.items():
+        answer[int(index[1:])] = value
+    starts = answer.repeat(len(starts_at), 1)
+    starts[:, 3] += torch.tensor(starts_at, dtype=torch.float64)
+    return Found(answer, similarity, starts, torch.tensor(start_similarity, dtype=torch.float64), 1000)
+
+
+@pytest.mark.parametrize("similarity", [0.049, 0.0, -1.0, -math.inf, math.nan])
+def test_failed_where_nothing_matches(pair, similarity):
+    status, message = judge(pair.problem(ALL), _found(pair, [0, 0], [0.5, 0.5], similarity))
+    assert status == "failed"
+    assert "do not match" in message
+
+
+def test_doubtful_at_the_limit_of_the_range(pair):
+    problem = pair.problem(ALL)
+    found = _found(pair, [0, 0], [0.5, 0.5], p2=float(problem.upper[2]), p7=float(problem.lower[7]) + 1e-5)
+    status, message = judge(problem, found)
+    assert status == "doubtful"
+    assert message.startswith("z_s, theta at the limit")
+
+
+def test_a_frozen_parameter_is_at_no_limit(pair):
+    problem = pair.problem(PATIENT)
+    assert judge(problem, _found(pair, [0, 0], [0.5, 0.5]))[0] == "ok"
+    assert judge(problem, _found(pair, [0, 0], [0.5, 0.5], p4=float(problem.lower[1])))[1].startswith("y_obj at the")
+
+
+def test_doubtful_where_only_one_start_found_it(pair):
+    status, message = judge(pair.problem(ALL), _found(pair, [0, 40, 80], [0.5, 0.2, 0.1]))
+    assert (status, message[:21]) == ("doubtful", "only 1 of 3 starts en")
+    assert judge(pair.problem(ALL), _found(pair, [30, 40, 80], [0.5, 0.2, 0.1]))[1].startswith("only 0 of 3")
+
+
+def test_doubtful_where_another_place_matches_as_well(pair):
+    status, message = judge(pair.problem(ALL), _found(pair, [0, 1, 40], [0.5, 0.49, 0.485]))
+    assert status == "doubtful"
+    assert message == "another place matches as well to within 0.015 of similarity"
+    assert judge(pair.problem(ALL), _found(pair, [40, 0, 1], [0.6, 0.5, 0.5]))[0] == "doubtful"
+
+
+def test_ok_says_how_many_agree_and_by_how_much(pair):
+    status, message = judge(pair.problem(ALL), _found(pair, [0, 1, 40], [0.5, 0.49, 0.3]))
+    assert (status, message) == ("ok", "2 of 3 starts agree, the next best place is 0.20 lower in similarity")
+    assert judge(pair.problem(ALL), _found(pair, [0, 1, 2], [0.5, 0.5, 0.5])) == ("ok", "all 3 starts agree")
+
+
+def test_a_single_start_is_doubtful_as_nothing_confirms_it(pair):
+    status, message = judge(pair.problem(ALL), _found(pair, [40], [0.5]))
+    assert status == "doubtful"
+    assert "the only start" in message

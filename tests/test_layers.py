@@ -1,0 +1,71 @@
+"""Imports point down: each part of the package knows only what lies below it."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import regtorch
+
+FOLDER = Path(regtorch.__file__).parent
+
+# From the bottom; what a part may import besides itself and the package's own name and version.
+BELOW = {
+    "errors": set(),
+    "files": {"errors"},
+    "geometry": {"errors"},
+    "optimization": {"errors"},  # knows no X-rays
+    "imaging": {"errors", "geometry"},
+    "phantom": {"errors", "geometry", "imaging"},
+    "drr": {"errors", "geometry", "imaging"},
+    "similarity": {"errors", "geometry", "imaging"},
+    "evaluation": {"errors", "geometry", "imaging"},
+    "simulation": {"errors", "geometry", "imaging", "drr"},
+    "registration": {"errors", "geometry", "imaging", "drr", "similarity", "evaluation", "optimization"},
+}
+BELOW["plotting"] = set(BELOW) - {"files"}
+BELOW["arguments"] = {"errors"}  # of the command line
+BELOW["cli"] = set(BELOW)
+
+
+def _part(file: Path) -> str:
+    return file.relative_to(FOLDER).parts[0].removesuffix(".py")
+
+
+def _imported(file: Path) -> set[str]:
+    """Dotted names of all modules that a file imports, at its top or later."""
+    names = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: a relative import, expected the whole name"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+@pytest.mark.parametrize("part", BELOW)
+def test_imports_point_down(part):
+    files = [file for file in FOLDER.rglob("*.py") if _part(file) == part]
+    assert files
+    for file in files:
+        for name in _imported(file):
+            package, _, rest = name.partition(".")
+            assert package not in ("experiments", "tests"), f"{file} imports {name}"
+            if package == "regtorch":
+                imported = rest.partition(".")[0]
+                assert imported in BELOW[part] | {part, "__version__"}, f"{file} imports {name}"
+
+
+def test_every_part_has_its_layer():
+    assert {_part(file) for file in FOLDER.rglob("*.py")} == {*BELOW, "__init__"}
+
+
+def test_the_package_itself_imports_nothing_of_its_own():
+    assert not any(name.startswith("regtorch") for name in _imported(FOLDER / "__init__.py"))
+    assert not any(name.startswith("experiments") for name in _imported(FOLDER / "__init__.py"))
+
+
+def test_all_that_the_package_offers_can_be_had():
+    for name in regtorch.__all__:
+        assert getattr(regtorch, name) is not None
