@@ -30,7 +30,7 @@ def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float
         spacing_mm: edge of the cubic voxels, 0.8 to 6 mm.
 
     Returns:
-        The ``Volume`` in HU (air -1000 to cortical bone about 1000, nothing but bone from 100 HU up), its axes those
+        The ``Volume`` in whole HU (air -1000 to cortical bone about 1000, nothing but bone from 100 HU up), its axes those
         of LPS, the middle of the sacral endplate near the patient's origin; and the centres (x, y, z) of the bodies of
         C7, T1 to T12, L1 to L5 and S1 in LPS mm.
 
@@ -56,4 +56,4 @@ def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float
     patient_from_voxel = torch.diag(torch.tensor([spacing_mm, spacing_mm, spacing_mm, 1.0], dtype=torch.float64))
     patient_from_voxel[:3, 3] = torch.from_numpy(first)
     targets = {n: tuple(map(float, v.centre)) for n, v in vertebrae.items() if n == "S1" or n[0] in "TL" or n == "C7"}
-    return Volume.from_grid(torch.from_numpy(data), patient_from_voxel, name="phantom"), targets
+    return Volume.from_grid(torch.from_numpy(data).round_(), patient_from_voxel, name="phantom"), targets
