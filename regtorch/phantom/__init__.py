@@ -30,9 +30,9 @@ def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float
         spacing_mm: edge of the cubic voxels, 0.8 to 6 mm.
 
     Returns:
-        The ``Volume`` in whole HU (air -1000 to cortical bone about 1000, nothing but bone from 100 HU up), its axes those
-        of LPS, the middle of the sacral endplate near the patient's origin; and the centres (x, y, z) of the bodies of
-        C7, T1 to T12, L1 to L5 and S1 in LPS mm.
+        The ``Volume`` in whole HU (air -1000 to cortical bone about 1000, nothing but bone from 100 HU up), its axes
+        those of LPS, the middle of the sacral endplate near the patient's origin; and the centres (x, y, z) of the
+        bodies of C7, T1 to T12, L1 to L5 and S1 in LPS mm.
 
     Raises:
         RegtorchError: for a spacing outside those bounds.
