@@ -255,7 +255,7 @@ BAD = [
     # what goes with them
     (f"{REGISTER} --landmark-ct 0 0 150", "only one of --landmark-ct and --landmark-radiograph"),
     (f"{REGISTER} --landmark-radiograph 3 4", "only one of --landmark-ct and --landmark-radiograph"),
-    (f"{REGISTER} {LANDMARK} --landmark-radiograph 80 4", "(80, 4): expected it inside the image of 80 x 100 pixels"),
+    (f"{REGISTER} {LANDMARK} --landmark-radiograph 80 4", "(80, 4), expected it inside the image of 80 x 100 pixels"),
     (f"{REGISTER} {LANDMARK} --landmark-radiograph nan 4", "'nan'"),
     (f"{REGISTER} --landmark-ct 0 0 9999 --landmark-radiograph 3 4", "9999.0) mm (LPS): expected it inside ct.nii.gz"),
     (f"{REGISTER} --mask {{i}}/none.png", "{i}/none.png: no such file"),
