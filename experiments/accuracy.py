@@ -14,10 +14,11 @@ import hydra
 import numba
 import torch
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from regtorch import __version__
+from regtorch.errors import RegtorchError
 from regtorch.evaluation import evaluate
 from regtorch.geometry import Detector, parameters_to_dict, pixel_from_patient
 from regtorch.imaging import Radiograph, Volume, read_volume
@@ -25,6 +26,7 @@ from regtorch.registration import initial_parameters, register
 from regtorch.simulation import draw_parameters, simulate
 
 _KEY = ("ct", "view", "dof", "radiograph_threshold_hu", "seed")
+_CASES = ("views", "arms", "seeds", "first_seed", "threads", "out")
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="accuracy")
@@ -33,6 +35,7 @@ def main(config: DictConfig) -> None:
     numba.set_num_threads(config.threads)
     ct = read_volume(config.ct)
     table = Path(config.out) / "registrations.csv"
+    _refuse_to_mix(config, table)
     cases = [
         (Path(config.ct).name, view, arm.dof, arm.radiograph_threshold_hu, seed)
         for arm in config.arms
@@ -90,6 +93,19 @@ def _registered(
         "device": result.device,
         "version": __version__,
     }
+
+
+def _refuse_to_mix(config: DictConfig, table: Path) -> None:
+    """Rows of one table share everything but which cases were asked for and how many threads worked on them."""
+    settings = OmegaConf.to_container(config)
+    own = {key: value for key, value in settings.items() if key not in _CASES}
+    kept = table.with_name("settings.yaml")
+    if not table.exists() or not kept.exists():
+        kept.write_text(OmegaConf.to_yaml(OmegaConf.create(own)))
+        return
+    before = OmegaConf.to_container(OmegaConf.load(kept))
+    if changed := [key for key in own if own[key] != before.get(key)]:
+        raise RegtorchError(f"{table}: made with another {changed[0]!r}, expected that of {kept} or another out=")
 
 
 def _done(table: Path) -> set[tuple[str, ...]]:

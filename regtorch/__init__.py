@@ -14,6 +14,7 @@ _HOME = {
     "Registration": "regtorch.registration",
     "RegtorchError": "regtorch.errors",
     "Volume": "regtorch.imaging",
+    "attenuation": "regtorch.imaging",
     "evaluate": "regtorch.evaluation",
     "make_phantom": "regtorch.phantom",
     "read_radiograph": "regtorch.imaging",

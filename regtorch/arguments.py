@@ -98,7 +98,13 @@ def parser() -> argparse.ArgumentParser:
     add("--intensity", default="auto", choices=("auto", "line", "counts"), help="line integrals or counts (auto)")
     add("--mirrored", default="auto", choices=("auto", "yes", "no"), help="shown as from the detector's side (auto)")
     add("--mask", metavar="FILE", help="PNG or TIFF of the radiograph's size: 0 where it is to be ignored")
-    add("--threshold-hu", type=_COORDINATE, default=100.0, metavar="HU", help="below, the CT counts as air (100)")
+    add(
+        "--threshold-hu",
+        type=_COORDINATE,
+        default=100.0,
+        metavar="HU",
+        help="below, the CT counts as air (%(default)g)",
+    )
     add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} to show in overlay.png")
     _add_seed_and_threads(add)
 

@@ -47,7 +47,7 @@ def _demo(options: argparse.Namespace) -> int:
 
     from regtorch.evaluation import evaluate
     from regtorch.files import output_folder
-    from regtorch.imaging import Radiograph, write_radiograph, write_volume
+    from regtorch.imaging import read_radiograph, write_radiograph, write_volume
     from regtorch.phantom import make_phantom
     from regtorch.registration import initial_parameters
     from regtorch.simulation.simulate import DETECTOR, RANGES, draw_parameters, simulate
@@ -64,7 +64,7 @@ def _demo(options: argparse.Namespace) -> int:
         write_volume(folder / "phantom.nii.gz", ct)
         write_radiograph(folder / "radiograph.tiff", simulation.image, DETECTOR, view=options.view)
         _write_json(folder / "truth.json", simulation.to_dict())
-        radiograph = Radiograph.from_image(simulation.image, DETECTOR)
+        radiograph = read_radiograph(folder / "radiograph.tiff", view=options.view)
         result = _registered(options, folder, ct, radiograph, simulation.targets, [])
     _print_result(result)
     _print_evaluation(evaluate(result.to_dict(), simulation.to_dict()))
@@ -152,7 +152,7 @@ def _registered(
 
     from regtorch import optimization
     from regtorch.drr import render
-    from regtorch.imaging import attenuation
+    from regtorch.imaging import BONE_HU, attenuation
     from regtorch.plotting import write_overlay
     from regtorch.registration import register
     from regtorch.registration.evolution import evolution
@@ -167,7 +167,7 @@ def _registered(
     with tqdm(total=100, disable=None, leave=False, bar_format="{desc} {bar} {elapsed} < {remaining}") as bar:
         result = register(ct, radiograph, options.view, method=method, seed=options.seed, progress=progress, **settings)
     _write_json(folder / "result.json", result.to_dict())
-    bone = attenuation(ct, threshold_hu=settings.get("threshold_hu", 100.0))
+    bone = attenuation(ct, threshold_hu=settings.get("threshold_hu", BONE_HU))
     moving = render(bone, result.parameters, radiograph.detector, options.view)
     write_overlay(folder / "overlay.png", radiograph, result, moving, targets)
     return result

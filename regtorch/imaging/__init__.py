@@ -1,6 +1,6 @@
 """CT and radiograph: in and out of files, made into what the registration compares, checked."""
 
-from regtorch.imaging.attenuation import attenuation, crop_to_anatomy
+from regtorch.imaging.attenuation import BONE_HU, attenuation, crop_to_anatomy
 from regtorch.imaging.averaging import coarsen
 from regtorch.imaging.checks import check_radiograph, check_volume
 from regtorch.imaging.radiograph import Radiograph, level
@@ -10,6 +10,7 @@ from regtorch.imaging.volume import Volume
 from regtorch.imaging.volume_files import read_volume, write_volume
 
 __all__ = [
+    "BONE_HU",
     "Radiograph",
     "Volume",
     "attenuation",

@@ -8,7 +8,16 @@ from regtorch.imaging.volume import Volume
 AIR_HU = -1000.0
 
 
-def attenuation(volume: Volume, *, threshold_hu: float | None = 100.0, mu_water_per_mm: float = 0.02) -> Volume:
+BONE_HU = 100.0
+"""The paper's threshold T: soft tissue lies below 80 HU, bone above 150."""
+
+MU_WATER_PER_MM = 0.02
+"""Of water at about 60 keV, a usual beam's mean energy."""
+
+
+def attenuation(
+    volume: Volume, *, threshold_hu: float | None = BONE_HU, mu_water_per_mm: float = MU_WATER_PER_MM
+) -> Volume:
     """mu = mu_water (1 + HU/1000) per mm, 0 from -1000 HU down (scanners pad with -3024) and below ``threshold_hu``.
 
     ``threshold_hu`` leaves bone by default, as the paper does; None keeps everything.

@@ -23,7 +23,7 @@ def spread_points(volume: Volume, n: int) -> Float[Tensor, "n 3"]:
     """
     coarse = coarsen(volume, _GRID_MM)
     dense = coarse.data >= coarse.data[coarse.data > 0].median()
-    index = dense.nonzero().flip(1).double()
+    index = dense.nonzero().flip(1).cpu().double()
     candidates = index @ coarse.patient_from_voxel[:3, :3].mT + coarse.patient_from_voxel[:3, 3]
     chosen = [int((candidates - candidates.mean(0)).norm(dim=1).argmin())]
     distance = torch.full((len(candidates),), torch.inf, dtype=torch.float64)
@@ -42,6 +42,8 @@ def read_points(path: str | Path) -> dict[str, tuple[float, float, float]]:
             for number, line in enumerate(csv.reader(file), 1):
                 if not line or (not points and line[1:4] == ["x", "y", "z"]):
                     continue
+                if line[0] in points:
+                    raise RegtorchError(f"{path}: line {number} names {line[0]} again, expected each name once")
                 points[line[0]] = _coordinates(f"{path}: line {number}", line)
     except OSError as error:
         raise RegtorchError(f"{path}: {error.strerror}, expected a CSV file of name,x,y,z in LPS mm") from None

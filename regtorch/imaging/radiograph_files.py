@@ -161,7 +161,7 @@ def _tiff(path: Path) -> tuple[Shaped[ndarray, "h w"], str]:
             raise RegtorchError(f"{path}: colour image, expected one grey channel")
         values = page.asarray()
         if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
-            values = values.max() - values
+            values = np.iinfo(values.dtype).max - values if values.dtype.kind == "u" else values.max() - values
         return values, page.description
 
 

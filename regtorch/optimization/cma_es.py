@@ -5,6 +5,7 @@ All starts share the generation counter g; what differs is a row of a tensor. A 
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -107,8 +108,8 @@ def cma_es(
 
 
 def _generator(seed: int, stream: int) -> torch.Generator:
-    # The CPU generator takes 32 bits; so streams of one seed never coincide.
-    return torch.Generator().manual_seed((seed * 1_000_003 + stream) % 2**32)
+    # Hashed, so that neighbouring seeds share no stream, and nothing else that is seeded draws the same numbers.
+    return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, stream]).generate_state(1)[0]))
 
 
 def _generation(

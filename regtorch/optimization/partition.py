@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.optimization.cma_es import Objective, cma_es
 from regtorch.optimization.optimum import Optimum
 
 
@@ -35,19 +34,19 @@ def kd_partition(
 
 
 def multi_start(
-    objective: Objective,
+    search: Callable[..., Optimum],
     lower: Float[Tensor, " d"],
     upper: Float[Tensor, " d"],
     *,
     starts: int = 100,
     scale: Float[Tensor, " d"],
     sigma_fraction: float = 0.3,
-    optimizer: Callable[..., Optimum] = cma_es,
 ) -> Optimum:
     """Minimise from the centre of each cell of ``kd_partition``, all at once; the answer is at ``Optimum.best``.
 
     The first standard deviations are ``sigma_fraction`` of the cell's sides (0.3: Hansen's tutorial, appendix B.1).
-    The whole box bounds the search, not the cell. ``optimizer`` is ``cma_es``, ``pycma`` or a ``partial`` of them.
+    The whole box bounds the search, not the cell. ``search`` is ``cma_es`` or ``pycma`` with the objective bound to it:
+    ``partial(cma_es, objective, seed=...)``.
     """
     low, high = kd_partition(lower, upper, starts, scale=scale)
-    return optimizer(objective, (low + high) / 2, sigma_fraction * (high - low), lower=lower, upper=upper)
+    return search((low + high) / 2, sigma_fraction * (high - low), lower=lower, upper=upper)

@@ -4,12 +4,13 @@ What the paper's lost Table 1 held (population, first step sizes, stopping, how 
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from regtorch.optimization import Optimum, cma_es, kd_partition
+from regtorch.optimization import Optimum, cma_es, multi_start
 from regtorch.registration.objective import Level
 from regtorch.registration.problem import Found, Problem
 
@@ -42,36 +43,41 @@ def evolution(
     detector plane, and ends when the similarities of its generations spread by less than the stage's tolerance.
     """
     lower, upper = problem.lower, problem.upper
-    low, high = kd_partition(lower, upper, starts, scale=1 / problem.sensitivity())
     coarse, fine = (problem.level(longest, voxel_per_pixel) for longest in pixels)
 
-    def search(level: Level, stage: int, share: tuple[float, float], limit: int, *start: Tensor, **shape) -> Optimum:
+    def searcher(level: Level, stage: int, share: tuple[float, float], limit: int, n: int) -> Callable[..., Optimum]:
         def report(generation: int, running: int, cost: Float[Tensor, " n"]) -> None:
             done = share[0] + (share[1] - share[0]) * generation / limit
             detector = level.fixed.detector
             what = f"{detector.columns} x {detector.rows} pixels, starts: {running}"
             problem.progress(done, f"{what}, similarity: {-float(cost.min()):.4f}")
 
-        return optimizer(
+        return partial(
+            optimizer,
             lambda values: -level.similarities(problem.embed(values)),
-            *start,
-            lower=lower,
-            upper=upper,
             population=population,
             max_generations=limit,
             tol_fun=tolerances[stage],
-            seed=problem.seed + stage,
+            seed=problem.seed,
+            streams=range(stage * starts, stage * starts + n),
             on_generation=report,
-            **shape,
         )
 
     def go_on(level: Level, stage: int, share: tuple[float, float], before: Optimum, chosen: list[int]) -> Optimum:
         x, covariance = before.x[chosen], before.covariance[chosen]
         deviations = covariance.diagonal(dim1=1, dim2=2).sqrt()
         factor = restart_shift_mm / _shift_mm(problem, x, covariance)
-        return search(level, stage, share, final_generations, x, deviations * factor[:, None], covariance=covariance)
+        search = searcher(level, stage, share, final_generations, len(chosen))
+        return search(x, deviations * factor[:, None], lower=lower, upper=upper, covariance=covariance)
 
-    all_starts = search(coarse, 0, (0.0, 0.6), generations, (low + high) / 2, sigma_fraction * (high - low))
+    all_starts = multi_start(
+        searcher(coarse, 0, (0.0, 0.6), generations, starts),
+        lower,
+        upper,
+        starts=starts,
+        scale=1 / problem.sensitivity(),
+        sigma_fraction=sigma_fraction,
+    )
     apart_mm = coarse.fixed.detector.pixel_mm
     chosen = _distinct(problem, all_starts, apart_mm)[:survivors]
     converged = go_on(coarse, 1, (0.6, 0.7), all_starts, chosen)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.geometry import free_indices, pixel_from_patient, project
-from regtorch.imaging import Radiograph, Volume, attenuation, crop_to_anatomy
+from regtorch.imaging import BONE_HU, Radiograph, Volume, attenuation, crop_to_anatomy
 from regtorch.imaging.points import spread_points
 from regtorch.registration.evolution import evolution
 from regtorch.registration.initial import SEARCH, Point2, Point3, initial_parameters
@@ -34,7 +34,7 @@ def register(
     sdd_mm: float | None = None,
     landmark_patient_mm: Point3 | None = None,
     landmark_stored: Point2 | None = None,
-    threshold_hu: float | None = 100.0,
+    threshold_hu: float | None = BONE_HU,
     similarity: Similarity = gradient_correlation,
     seed: int = 0,
     progress: Progress = lambda share, what: None,
@@ -56,6 +56,12 @@ def register(
         raise RegtorchError(f"seed {seed}: expected a whole number from 0 to {2**32 - 1}")
     detector = radiograph.detector
     moving = free_indices(free)
+    if detector.centre_mm != (0.0, 0.0):
+        raise RegtorchError(
+            f"{radiograph.name}: centred on {detector.centre_mm} mm, expected the whole detector's image"
+        )
+    if initial is not None and not (sdd_mm is landmark_patient_mm is landmark_stored is None):
+        raise RegtorchError("initial parameters as well as an SDD or a landmark: expected either")
     if initial is None:
         landmark = None if landmark_stored is None else _unstored(radiograph, landmark_stored)
         initial = initial_parameters(

@@ -46,10 +46,12 @@ def _rastrigin(x):
     return (x**2 - 2 * (2 * torch.pi * x).cos() + 2).sum(1)
 
 
-@pytest.mark.parametrize("optimizer", [partial(cma_es, seed=1), partial(pycma, seed=1, max_generations=150)])
-def test_finds_the_lowest_of_many_minima(optimizer):
+@pytest.mark.parametrize(
+    "search", [partial(cma_es, _rastrigin, seed=1), partial(pycma, _rastrigin, seed=1, max_generations=150)]
+)
+def test_finds_the_lowest_of_many_minima(search):
     lower, upper = torch.tensor([-5.0, -4.0, -3.0]), torch.tensor([4.0, 5.0, 6.0])
-    optimum = multi_start(_rastrigin, lower, upper, starts=40, scale=torch.ones(3), optimizer=optimizer)
+    optimum = multi_start(search, lower, upper, starts=40, scale=torch.ones(3))
     assert optimum.x.shape == (40, 3)
     assert float(optimum.cost[optimum.best]) < 1e-6
     assert float(optimum.cost.median()) > 0.1, "one start is not enough: that is what the others are for"
@@ -59,12 +61,12 @@ def test_finds_the_lowest_of_many_minima(optimizer):
 def test_starts_are_the_centres_and_sigma_a_fraction_of_the_cells():
     seen = {}
 
-    def optimizer(objective, start, sigma, *, lower, upper):
+    def search(start, sigma, *, lower, upper):
         seen.update(start=start, sigma=sigma, lower=lower, upper=upper)
-        return cma_es(objective, start, sigma, lower=lower, upper=upper, max_generations=1)
+        return cma_es(_rastrigin, start, sigma, lower=lower, upper=upper, max_generations=1)
 
     lower, upper = torch.zeros(1), torch.full((1,), 4.0)
-    multi_start(_rastrigin, lower, upper, starts=4, scale=torch.ones(1), sigma_fraction=0.25, optimizer=optimizer)
+    multi_start(search, lower, upper, starts=4, scale=torch.ones(1), sigma_fraction=0.25)
     assert seen["start"][:, 0].tolist() == [0.5, 1.5, 2.5, 3.5]
     assert seen["sigma"][:, 0].tolist() == [0.25] * 4
     assert (float(seen["lower"]), float(seen["upper"])) == (0, 4)
