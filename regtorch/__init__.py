@@ -6,6 +6,8 @@ The names below are loaded when first used, so that ``import regtorch`` alone co
 from importlib import import_module
 from typing import Any
 
+from regtorch.kernel_cache import forget_stale_kernels
+
 __version__ = "0.1.0"
 
 _HOME = {
@@ -25,6 +27,8 @@ _HOME = {
 }
 
 __all__ = ["__version__", *_HOME]
+
+forget_stale_kernels()
 
 
 def __getattr__(name: str) -> Any:

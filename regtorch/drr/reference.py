@@ -13,79 +13,117 @@ _SAMPLES_AT_ONCE = 1 << 23
 
 
 def project(
-    data: Float[Tensor, "d h w"],
+    data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
     spacing_mm: Float[Tensor, "3"],
     rows: int,
     columns: int,
     method: str,
-) -> Float[Tensor, "b rows columns"]:
+) -> Float[Tensor, "b classes rows columns"]:
     """Line integrals for twelve numbers per pose, a bounded number of rays at a time."""
-    size = torch.tensor(data.shape[::-1], device=data.device)
-    samples_per_ray = 2 * int((size + 1.0).norm()) + int(size.sum()) + 6
-    chunk = max(1, _SAMPLES_AT_ONCE // samples_per_ray)
-    integrate = {"siddon": _siddon, "joseph": _joseph, "trilinear": _trilinear}[method]
+    data, spacing_mm = data.reshape(-1, *data.shape[-3:]), spacing_mm.to(data)
     images = []
-    for source, first, column_step, row_step in rays.unflatten(-1, (4, 3)):
-        pixels = torch.arange(rows * columns, device=data.device)
-        parts = []
-        for some in pixels.split(chunk):
-            row, column = (some // columns)[:, None], (some % columns)[:, None]
-            direction = first + column * column_step + row * row_step - source
-            parts.append(integrate(data, source.to(data), direction.to(data), spacing_mm.to(data)))
-        images.append(torch.cat(parts).reshape(rows, columns))
-    return torch.stack(images) if images else data.new_zeros(0, rows, columns)
+    for ray in rays:
+        parts = [
+            _RULES[method](data, source.to(data), pixel.to(data), spacing_mm)
+            for source, pixel, _ in _some_rays(ray, data, rows, columns)
+        ]
+        images.append(torch.cat(parts, dim=1).reshape(-1, rows, columns))
+    return torch.stack(images) if images else data.new_zeros(0, len(data), rows, columns)
 
 
-def _siddon(data, source, direction, spacing_mm):
+def project_with_jacobian(
+    data: Float[Tensor, "*c d h w"],
+    rays: Float[Tensor, "b 12"],
+    ray_jacobian: Float[Tensor, "b 12 p"],
+    spacing_mm: Float[Tensor, "3"],
+    rows: int,
+    columns: int,
+    method: str,
+) -> tuple[Float[Tensor, "b classes rows columns"], Float[Tensor, "b classes p rows columns"]]:
+    """Line integrals and their derivatives by p parameters, of which ``ray_jacobian`` is d rays / d parameters.
+
+    A pixel depends on its own ray's ends alone, so one backward pass of the sum over pixels gives each its derivative.
+    """
+    data, spacing_mm = data.reshape(-1, *data.shape[-3:]), spacing_mm.to(data)
+    images, jacobians = [], []
+    for ray, by_parameters in zip(rays, ray_jacobian, strict=True):
+        values, slopes = [], []
+        for source, pixel, steps in _some_rays(ray, data, rows, columns):
+            ends = [end.detach().to(data).requires_grad_() for end in (source, pixel)]
+            with torch.enable_grad():
+                value = _RULES[method](data, *ends, spacing_mm)
+            each = [torch.autograd.grad(one.sum(), ends, retain_graph=True) for one in value]
+            by_source, by_pixel = (torch.stack(gradient) for gradient in zip(*each, strict=True))
+            by_rays = [by_source, by_pixel, by_pixel * steps[:, :1], by_pixel * steps[:, 1:]]
+            values.append(value.detach())
+            slopes.append(torch.einsum("cnr,rp->cpn", torch.cat(by_rays, dim=2), by_parameters.to(data)))
+        images.append(torch.cat(values, dim=1).unflatten(1, (rows, columns)))
+        jacobians.append(torch.cat(slopes, dim=2).unflatten(2, (rows, columns)))
+    return torch.stack(images), torch.stack(jacobians)
+
+
+def _some_rays(ray, data, rows, columns):
+    """Sources and pixels [n, 3] of as many rays at a time as memory shall hold, and their (column, row) [n, 2]."""
+    size = torch.tensor(data.shape[:0:-1])
+    samples_per_ray = 2 * int((size + 1.0).norm()) + int(size.sum()) + 6
+    source, first, column_step, row_step = ray.unflatten(-1, (4, 3))
+    pixels = torch.arange(rows * columns, device=data.device)
+    for some in pixels.split(max(1, _SAMPLES_AT_ONCE // (len(data) * samples_per_ray))):
+        steps = torch.stack([some % columns, some // columns], dim=1).to(data)
+        yield source.expand(len(some), 3), first + steps[:, :1] * column_step + steps[:, 1:] * row_step, steps
+
+
+def _siddon(data, source, pixel, spacing_mm):
     """Siddon 1985: the crossings with all voxel faces, sorted; between two of them lies one voxel."""
-    size = torch.tensor(data.shape[::-1], device=data.device)
+    size, direction = torch.tensor(data.shape[:0:-1], device=data.device), pixel - source
     enter, leave = _span(source, direction, source.new_tensor(-0.5), size - 0.5)
     crossings = [enter[:, None], leave[:, None]]
     for axis in range(3):
         faces = torch.arange(int(size[axis]) + 1, device=data.device).to(data) - 0.5
         step = direction[:, axis, None]
-        t = (faces - source[axis]) / torch.where(step == 0, torch.ones_like(step), step)
+        t = (faces - source[:, axis, None]) / torch.where(step == 0, torch.ones_like(step), step)
         crossings.append(torch.where(step == 0, enter[:, None], t))
     # Not clamp: its derivative is wrong where both limits are the same, which is how a ray misses the volume.
     t = torch.minimum(torch.maximum(torch.cat(crossings, dim=1), enter[:, None]), leave[:, None]).sort(dim=1).values
     middle = (t[:, 1:] + t[:, :-1]).detach() / 2
     # A ray along a face between two voxels reads the upper one.
-    index = (source + middle[..., None] * direction[:, None] + 0.5).floor().long()
+    index = (source[:, None] + middle[..., None] * direction[:, None] + 0.5).floor().long()
     i, j, k = torch.minimum(index.clamp(min=0), size - 1).unbind(-1)
-    return (data[k, j, i] * t.diff(dim=1)).sum(1) * (direction * spacing_mm).norm(dim=1)
+    return (data[:, k, j, i] * t.diff(dim=1)).sum(2) * (direction * spacing_mm).norm(dim=1)
 
 
-def _joseph(data, source, direction, spacing_mm):
+def _joseph(data, source, pixel, spacing_mm):
     """Joseph 1982: one bilinear reading where the ray crosses each slice of its main axis.
 
     Slice k stands for the slab from k - 1/2 to k + 1/2, of which only the part between source and pixel counts.
     """
+    direction = pixel - source
     main = direction.abs().argmax(dim=1)
-    integrals = torch.zeros_like(direction[:, 0])
+    integrals = torch.zeros_like(direction[:, 0]).expand(len(data), -1)
     for axis in range(3):
         chosen = (main == axis).nonzero()[:, 0]
-        d = direction[chosen]
-        slices = torch.arange(data.shape[2 - axis], device=data.device).to(data)
+        d, start = direction[chosen], source[chosen]
+        slices = torch.arange(data.shape[3 - axis], device=data.device).to(data)
         step = d[:, axis, None]
-        points = source + ((slices - source[axis]) / step)[..., None] * d[:, None]
-        ends = torch.stack([source[axis].expand_as(step), source[axis] + step])
+        points = start[:, None] + ((slices - start[:, axis, None]) / step)[..., None] * d[:, None]
+        ends = torch.stack([start[:, axis, None], start[:, axis, None] + step])
         low, high = ends.amin(0), ends.amax(0)
         share = (torch.minimum(slices + 0.5, high) - torch.maximum(slices - 0.5, low)).clamp(0, 1)
         length = (d * spacing_mm).norm(dim=1) / step[:, 0].abs()
-        integrals = integrals.index_add(0, chosen, (_sample(data, points) * share).sum(1) * length)
+        integrals = integrals.index_add(1, chosen, (_sample(data, points) * share).sum(2) * length)
     return integrals
 
 
-def _trilinear(data, source, direction, spacing_mm):
+def _trilinear(data, source, pixel, spacing_mm):
     """Equal steps of at most half a voxel along the part of the ray where the volume can be felt."""
-    size = torch.tensor(data.shape[::-1], device=data.device)
+    size, direction = torch.tensor(data.shape[:0:-1], device=data.device), pixel - source
     enter, leave = _span(source, direction, source.new_tensor(-1.0), size.to(data))
     steps = 2 * int((size + 1.0).norm()) + 2
     middle = (torch.arange(steps, device=data.device).to(data) + 0.5) / steps
     t = enter[:, None] + (leave - enter)[:, None] * middle
-    points = source + t[..., None] * direction[:, None]
-    return _sample(data, points).sum(1) * (leave - enter) / steps * (direction * spacing_mm).norm(dim=1)
+    points = source[:, None] + t[..., None] * direction[:, None]
+    return _sample(data, points).sum(2) * (leave - enter) / steps * (direction * spacing_mm).norm(dim=1)
 
 
 def _span(source, direction, lower, upper):
@@ -100,9 +138,12 @@ def _span(source, direction, lower, upper):
 
 
 def _sample(data, points):
-    """Trilinear values at (i, j, k), zero outside."""
-    size = torch.tensor(data.shape[::-1], device=data.device)
+    """Trilinear values [c, rays, samples] at (i, j, k), zero outside."""
+    size = torch.tensor(data.shape[:0:-1], device=data.device)
     # grid_sample cannot place a point along an axis of one voxel, so such an axis is given an empty neighbour.
-    padded = torch.nn.functional.pad(data, [side for n in data.shape[::-1] for side in (0, int(n == 1))])
+    padded = torch.nn.functional.pad(data, [side for n in data.shape[:0:-1] for side in (0, int(n == 1))])
     grid = 2 * points / (size.clamp(min=2) - 1) - 1
-    return grid_sample(padded[None, None], grid[None, None], align_corners=True, padding_mode="zeros")[0, 0, 0]
+    return grid_sample(padded[None], grid[None, None], align_corners=True, padding_mode="zeros")[0, :, 0]
+
+
+_RULES = {"siddon": _siddon, "joseph": _joseph, "trilinear": _trilinear}

@@ -1,18 +1,20 @@
-"""The front door of the projectors: CT and poses in, line integrals out."""
+"""The front door of the projectors: CT and poses in, line integrals and their derivatives out."""
 
+from types import ModuleType
 from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from regtorch.drr import cpu, reference
+from regtorch.drr import cpu, reference, triton
+from regtorch.drr.differentiable import project
 from regtorch.errors import RegtorchError
-from regtorch.geometry import Detector, cone_beam_rays
+from regtorch.geometry import Detector, cone_beam_rays, ray_jacobian
 from regtorch.imaging.volume import Volume
 
 Method = Literal["joseph", "trilinear", "siddon"]
-Backend = Literal["auto", "torch", "cpu"]
+Backend = Literal["auto", "torch", "cpu", "triton"]
 
 
 def render(
@@ -23,20 +25,69 @@ def render(
     *,
     method: Method = "joseph",
     backend: Backend = "auto",
-) -> Float[Tensor, "*b h w"]:
-    """Line integrals of attenuation from the source to every pixel, seen looking from the source to the detector.
+) -> Float[Tensor, "..."]:
+    """Line integrals [*b, h, w] of attenuation from the source to every pixel, seen looking from the source.
 
     What lies behind the source or behind the detector is not counted, and air surrounds the volume. The images have
-    the type and device of ``volume.data``, whose unit must be ``per_mm`` (see ``regtorch.imaging.attenuation``).
+    the type and device of ``volume.data``, whose unit must be ``per_mm`` (see ``regtorch.imaging.attenuation``); a
+    volume of c classes [c, d, h, w] (``tissue_classes``) gives [*b, c, h, w] in one pass. Differentiable by the
+    parameters and by the voxels with every backend.
 
     Methods: ``siddon`` (Siddon 1985) is exact for voxels of constant value; ``joseph`` (Joseph 1982) interpolates
     bilinearly on each slice across the axis nearest to the ray; ``trilinear`` samples at half-voxel steps.
-    Backends: ``torch`` is the readable, differentiable reference; ``cpu`` is fused, float32 and without a gradient.
+    Backends: ``torch`` is the readable reference; ``cpu`` and ``triton`` (for GPUs) are fused kernels in float32.
     ``auto`` takes the fastest that can do what is asked.
 
     Raises ``RegtorchError`` for HU, poses that are not finite or have their source not in front of the detector, and
     for a method or backend that is not known or a backend that cannot do what is asked.
     """
+    fused = chosen_backend(volume, parameters, method, backend)
+    rays = rays_of(volume, parameters, detector, view)
+    images = project(fused, volume.data, rays, volume.spacing_mm, detector.rows, detector.columns, method)
+    return _shaped(images, volume, parameters)
+
+
+def render_with_jacobian(
+    volume: Volume,
+    parameters: Float[Tensor, "*b 9"],
+    detector: Detector,
+    view: str = "PA",
+    *,
+    method: Method = "joseph",
+    backend: Backend = "auto",
+) -> tuple[Float[Tensor, "..."], Float[Tensor, "..."]]:
+    """``render``, and the exact derivatives of every pixel by the nine parameters (per mm, per rad) in the same pass.
+
+    Forward mode: images [*b, h, w] and jacobians [*b, 9, h, w], or [*b, c, h, w] and [*b, c, 9, h, w] for a volume of
+    c classes. Neither carries a graph.
+    """
+    fused = chosen_backend(volume, parameters, method, backend)
+    flat = parameters.detach().reshape(-1, 9)
+    rays = rays_of(volume, flat, detector, view)
+    by_parameters = ray_jacobian(flat, detector, view, volume.voxel_from_ct).to(rays)
+    place = volume.spacing_mm, detector.rows, detector.columns, method
+    images, jacobian = fused.project_with_jacobian(volume.data, rays, by_parameters, *place)
+    return _shaped(images, volume, parameters), _shaped(jacobian, volume, parameters)
+
+
+def _shaped(result: Tensor, volume: Volume, parameters: Float[Tensor, "*b 9"]) -> Tensor:
+    """[b, classes, ...] as the poses' batch shape and, if the volume has any, classes."""
+    result = result.squeeze(1) if volume.data.ndim == 3 else result
+    return result.reshape(*parameters.shape[:-1], *result.shape[1:])
+
+
+def rays_of(
+    volume: Volume, parameters: Float[Tensor, "*b 9"], detector: Detector, view: str
+) -> Float[Tensor, "b 12"]:
+    """Twelve numbers per pose in float64 on the volume's device."""
+    flat = parameters.reshape(-1, 9).to(volume.data.device, torch.float64)
+    return cone_beam_rays(flat, detector, view, volume.voxel_from_ct)
+
+
+def chosen_backend(
+    volume: Volume, parameters: Float[Tensor, "*b 9"], method: str, backend: str
+) -> ModuleType:
+    """The module that is to work; checks everything ``render`` is given."""
     for what, name, known in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if name not in known:
             raise RegtorchError(f"{what} {name!r}: expected one of {', '.join(known)}")
@@ -46,12 +97,12 @@ def render(
         raise RegtorchError("parameters that are not finite: expected nine numbers per pose")
     if bool((parameters[..., 2] <= 0).any()):
         raise RegtorchError(f"SDD of {float(parameters[..., 2].min()):g} mm: expected a positive distance")
-    flat = parameters.reshape(-1, 9)
-    rays = cone_beam_rays(flat.to(volume.data.device, torch.float64), detector, view, volume.voxel_from_ct)
-    needs_gradient = torch.is_grad_enabled() and (parameters.requires_grad or volume.data.requires_grad)
-    missing = cpu.why_not(volume.data, method, needs_gradient)
-    if backend == "cpu" and missing:
-        raise RegtorchError(f"backend 'cpu' cannot render this: {missing}")
-    project = reference.project if backend == "torch" or missing else cpu.project
-    images = project(volume.data, rays, volume.spacing_mm, detector.rows, detector.columns, method)
-    return images.reshape(*parameters.shape[:-1], detector.rows, detector.columns)
+    fused = {"cpu": cpu, "triton": triton}
+    if backend == "auto":
+        fastest = "cpu" if volume.data.device.type == "cpu" else "triton"
+        return reference if fused[fastest].why_not(volume.data, method) else fused[fastest]
+    if backend == "torch":
+        return reference
+    if missing := fused[backend].why_not(volume.data, method):
+        raise RegtorchError(f"backend {backend!r} cannot render this: {missing}")
+    return fused[backend]

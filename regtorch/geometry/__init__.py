@@ -15,7 +15,7 @@ from regtorch.geometry.projection import (
     project,
     world_from_ct,
 )
-from regtorch.geometry.rays import cone_beam_rays
+from regtorch.geometry.rays import cone_beam_rays, ray_jacobian
 from regtorch.geometry.rotation import euler_from_rotation, rotation_from_euler
 from regtorch.geometry.views import VIEWS, same_view, world_from_patient_axes
 
@@ -33,6 +33,7 @@ __all__ = [
     "pixel_from_patient",
     "pixel_from_world",
     "project",
+    "ray_jacobian",
     "rotation_from_euler",
     "same_view",
     "world_from_ct",

@@ -28,3 +28,12 @@ def cone_beam_rays(
     batch = source.shape
     in_world = torch.stack([source, *(v.expand(batch) for v in (first, column_step, row_step))], dim=-1)
     return (voxel_from_world @ in_world)[..., :3, :].mT.flatten(-2)
+
+
+def ray_jacobian(
+    parameters: Float[Tensor, "*b 9"], detector: Detector, view: str, voxel_from_ct: Float[Tensor, "4 4"]
+) -> Float[Tensor, "*b 12 9"]:
+    """Derivatives of ``cone_beam_rays`` by the nine parameters: voxels per mm, voxels per rad."""
+    by_pose = torch.func.jacfwd(lambda p: cone_beam_rays(p, detector, view, voxel_from_ct))
+    flat = parameters.reshape(-1, 9)
+    return torch.func.vmap(by_pose)(flat).reshape(*parameters.shape[:-1], 12, 9)

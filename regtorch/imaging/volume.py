@@ -12,7 +12,7 @@ from regtorch.errors import RegtorchError
 
 @dataclass(frozen=True)
 class Volume:
-    """Voxel values ``data[k, j, i]`` and where voxel (i, j, k) lies in the patient.
+    """Voxel values ``data[k, j, i]``, or ``data[c, k, j, i]`` for several classes of tissue, and where voxel (i, j, k) lies in the patient.
 
     ``patient_from_voxel`` (float64, CPU) maps (i, j, k, 1) to LPS millimetres; its axes are orthogonal.
     ``origin_patient_mm`` is the origin of the ``ct`` frame, the centre of the CT as stored in its file: cropping and
@@ -21,7 +21,7 @@ class Volume:
     ``slice_thickness_mm`` is what a DICOM series says of its slices, which may be thinner than their distance.
     """
 
-    data: Float[Tensor, "d h w"]
+    data: Float[Tensor, "*c d h w"]
     patient_from_voxel: Float[Tensor, "4 4"]
     origin_patient_mm: Float[Tensor, "3"]
     unit: Literal["HU", "per_mm"] = "HU"
@@ -31,14 +31,14 @@ class Volume:
     @classmethod
     def from_grid(
         cls,
-        data: Float[Tensor, "d h w"],
+        data: Float[Tensor, "*c d h w"],
         patient_from_voxel: Float[Tensor, "4 4"],
         name: str = "volume",
         slice_thickness_mm: float | None = None,
     ) -> "Volume":
         """A whole CT in HU, whose centre becomes the origin of its ``ct`` frame."""
         patient_from_voxel = patient_from_voxel.double()
-        last = torch.tensor([n - 1.0 for n in reversed(data.shape)], dtype=torch.float64)
+        last = torch.tensor([n - 1.0 for n in data.shape[:-4:-1]], dtype=torch.float64)
         origin = patient_from_voxel[:3, :3] @ (last / 2) + patient_from_voxel[:3, 3]
         return cls(data, patient_from_voxel, origin, "HU", name, slice_thickness_mm)
 
@@ -54,12 +54,12 @@ class Volume:
         patient_from_ct[:3, 3] = self.origin_patient_mm
         return torch.linalg.inv(self.patient_from_voxel) @ patient_from_ct
 
-    def with_data(self, data: Float[Tensor, "d h w"], **changes: object) -> "Volume":
+    def with_data(self, data: Float[Tensor, "*c d h w"], **changes: object) -> "Volume":
         """The same grid with other values."""
         if data.shape != self.data.shape:
             raise RegtorchError(f"{self.name}: values of shape {tuple(data.shape)}, expected {tuple(self.data.shape)}")
         return replace(self, data=data, **changes)
 
-    def on_grid(self, data: Float[Tensor, "d h w"], patient_from_voxel: Float[Tensor, "4 4"]) -> "Volume":
+    def on_grid(self, data: Float[Tensor, "*c d h w"], patient_from_voxel: Float[Tensor, "4 4"]) -> "Volume":
         """Values on another grid in the same patient; the origin of the ``ct`` frame stays."""
         return replace(self, data=data, patient_from_voxel=patient_from_voxel)

@@ -1,4 +1,4 @@
-"""The sums behind gradient correlation in one pass over each image, its gradients never stored."""
+"""The sums behind gradient correlation in one pass over images that are still in the cache."""
 
 from typing import no_type_check
 
@@ -8,61 +8,104 @@ from jaxtyping import Float
 from numba import get_num_threads, njit, prange
 from torch import Tensor
 
+_ROWS = 64
+
 
 def can_sum(images: Tensor) -> bool:
-    """Whether ``gradient_sums`` can take these images: float32 on the CPU, no derivative wanted."""
+    """Whether ``gradient_gram`` can take these images: float32 on the CPU, no derivative wanted."""
     wanted = torch.is_grad_enabled() and images.requires_grad
     return images.device.type == "cpu" and images.dtype == torch.float32 and not wanted
 
 
-def gradient_sums(
-    images: Float[Tensor, "n h w"], fixed: Float[Tensor, "2 h w"], weight: Float[Tensor, "h w"]
-) -> tuple[Float[Tensor, "n 2 3"], Float[Tensor, " n"]]:
-    """For the x- and the y-gradient m of each image: sums of w m, w m m and m f over all pixels, in float64.
-
-    The second result is each image's root mean square.
-
-    Gradients are Sobel's over 8 with replicated borders, as ``kornia.filters.spatial_gradient`` defines them.
-    """
-    sums = torch.zeros(len(images), 2, 3, dtype=torch.float64)
-    squares = torch.zeros(len(images), dtype=torch.float64)
-    arrays = (t.detach().contiguous().numpy() for t in (images, fixed, weight))
-    _sums(*arrays, sums.numpy(), squares.numpy(), 4 * get_num_threads())
-    return sums, (squares / max(1, images[0].numel())).sqrt() if len(images) else squares
-
-
-@njit(parallel=True, nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-@no_type_check
-def _sums(images, fixed, weight, sums, squares, chunks):
+def gradient_gram(
+    images: Float[Tensor, "n h w"], fixed: Float[Tensor, "2 h w"], root: Float[Tensor, "h w"]
+) -> tuple[Float[Tensor, "n 2 1 3"], Float[Tensor, " n"]]:
+    """``similarity.gram.gradient_gram`` of images without derivatives, their gradients never stored whole."""
     n, rows, columns = images.shape
+    count, band = bands(rows, columns, 1)
+    partial, squares = np.zeros((n, count, 2, 1, 3)), np.zeros((n, count))
+    arrays = [t.detach().contiguous().numpy() for t in (images, fixed, root)]
+    _grams(*arrays, band, partial, squares, 4 * get_num_threads())
+    return torch.from_numpy(partial.sum(axis=1)), torch.from_numpy(np.sqrt(squares.sum(axis=1) / (rows * columns)))
+
+
+def bands(rows: int, columns: int, images: int) -> tuple[int, int]:
+    """How many bands of how many rows an image is summed in, so that ``images`` bands stay in a core's cache.
+
+    Independent of the number of threads, so that any gives the same bits.
+    """
+    most = max(1, min(_ROWS, (1 << 17) // (images * columns)) - 2)
+    count = -(-rows // most)
+    return count, -(-rows // count)
+
+
+@njit(parallel=True, nogil=True, cache=True)
+@no_type_check
+def _grams(images, fixed, root, band, partial, squares, chunks):
+    n, rows, columns = images.shape
+    count = partial.shape[1]
     for chunk in prange(chunks):
-        smooth, across = np.empty(columns + 2, np.float32), np.empty(columns + 2, np.float32)
-        for i in range(chunk, n, chunks):
-            image = images[i]
-            for row in range(rows):
-                above, here, below = image[max(row - 1, 0)], image[row], image[min(row + 1, rows - 1)]
-                for c in range(columns):
-                    smooth[c + 1] = (above[c] + below[c]) + np.float32(2) * here[c]
-                    across[c + 1] = below[c] - above[c]
-                smooth[0], smooth[columns + 1] = smooth[1], smooth[columns]
-                across[0], across[columns + 1] = across[1], across[columns]
-                w, fx, fy = weight[row], fixed[0, row], fixed[1, row]
-                x1 = x2 = x3 = y1 = y2 = y3 = square = np.float32(0)
-                for c in range(columns):
-                    dx = (smooth[c + 2] - smooth[c]) * np.float32(0.125)
-                    dy = (across[c] + across[c + 2] + np.float32(2) * across[c + 1]) * np.float32(0.125)
-                    square += here[c] * here[c]
-                    wx, wy = w[c] * dx, w[c] * dy
-                    x1 += wx
-                    x2 += wx * dx
-                    x3 += fx[c] * dx
-                    y1 += wy
-                    y2 += wy * dy
-                    y3 += fy[c] * dy
-                squares[i] += square
-                sums[i, 0, 0] += x1
-                sums[i, 0, 1] += x2
-                sums[i, 0, 2] += x3
-                sums[i, 1, 0] += y1
-                sums[i, 1, 1] += y2
-                sums[i, 1, 2] += y3
+        gradients = np.empty((1, band * columns), np.float32)
+        for item in range(chunk, n * count, chunks):
+            i, b = item // count, item % count
+            row0, row1 = b * band, min((b + 1) * band, rows)
+            squares[i, b] = band_gram(images[i : i + 1], 0, row0, row1, rows, fixed, root, gradients, partial[i, b])
+
+
+@njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@no_type_check
+def band_gram(images, top, row0, row1, rows, fixed, root, gradients, sums):
+    """Into ``sums`` [2, m, m + 2] for ``images`` [m, h, w] that begin at row ``top``, over rows ``row0`` to ``row1``.
+
+    For the x- and the y-gradients, each times ``root``: their products with ``fixed`` [2, h, w], with ``root`` and with
+    one another (upper triangle). Returns the sum of squares of the first image. ``gradients`` [m, pixels] is scratch.
+    """
+    m, _, columns = images.shape
+    eighth, two = np.float32(0.125), np.float32(2)
+    pixels = np.uint64((row1 - row0) * columns)
+    inner = np.uint64(columns - 1)
+    for direction in range(2):
+        for i in range(m):
+            for row in range(row0, row1):
+                above, here = images[i, max(row - 1, 0) - top], images[i, row - top]
+                below, weight = images[i, min(row + 1, rows - 1) - top], root[row]
+                line = gradients[i, (row - row0) * columns : (row - row0 + 1) * columns]
+                if direction == 0:
+                    for c in range(np.uint64(1), inner):
+                        after = above[c + np.uint64(1)] + two * here[c + np.uint64(1)] + below[c + np.uint64(1)]
+                        before = above[c - np.uint64(1)] + two * here[c - np.uint64(1)] + below[c - np.uint64(1)]
+                        line[c] = (after - before) * eighth * weight[c]
+                else:
+                    for c in range(np.uint64(1), inner):
+                        after = below[c - np.uint64(1)] + two * below[c] + below[c + np.uint64(1)]
+                        before = above[c - np.uint64(1)] + two * above[c] + above[c + np.uint64(1)]
+                        line[c] = (after - before) * eighth * weight[c]
+                for c in (0, columns - 1):  # borders are replicated
+                    p, n = max(c - 1, 0), min(c + 1, columns - 1)
+                    if direction == 0:
+                        step = above[n] + two * here[n] + below[n] - above[p] - two * here[p] - below[p]
+                    else:
+                        step = below[p] + two * below[c] + below[n] - above[p] - two * above[c] - above[n]
+                    line[c] = step * eighth * weight[c]
+        first = np.uint64(row0 * columns)
+        f, r = fixed[direction].ravel()[first:], root.ravel()[first:]
+        for i in range(m):
+            g = gradients[i]
+            sums[direction, i, 0] = _dot(g, f, pixels)
+            sums[direction, i, 1] = _dot(g, r, pixels)
+            for j in range(i, m):
+                sums[direction, i, 2 + j] = _dot(g, gradients[j], pixels)
+    square = 0.0
+    for row in range(row0, row1):
+        line = images[0, row - top]
+        square += _dot(line, line, np.uint64(columns))
+    return square
+
+
+@njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@no_type_check
+def _dot(a, b, n):
+    total = np.float32(0)
+    for i in range(n):
+        total += a[i] * b[i]
+    return np.float64(total)

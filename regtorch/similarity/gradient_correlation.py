@@ -5,8 +5,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.similarity.batches import over_images
-from regtorch.similarity.cpu import can_sum, gradient_sums
+from regtorch.similarity.cpu import can_sum, gradient_gram
 from regtorch.similarity.gradients import gradient_weight, image_gradients
+from regtorch.similarity.gram import equations_from_gram, fixed_gradients
 from regtorch.similarity.normalized_cross_correlation import centred_, peak
 
 
@@ -60,15 +61,6 @@ def _centred_gradients(
 def _from_sums(
     images: Float[Tensor, "n h w"], fixed: Float[Tensor, "h w"], weight: Float[Tensor, "h w"] | None
 ) -> Float[Tensor, " n"]:
-    """Eq. (2) from sums over each image: sum w (m - mean)^2 = sum w m^2 - (sum w m)^2 / sum w."""
-    w = torch.ones_like(fixed) if weight is None else gradient_weight(weight)
-    fixed_gradients = [g.flatten(1) for g in image_gradients(fixed[None])]
-    centred = [centred_(g, w.flatten(), peak(fixed[None])) for g in fixed_gradients]
-    f = torch.cat([root_weighted * w.flatten().sqrt() for root_weighted, _ in centred]).view(2, *fixed.shape)
-    one_over_f = torch.cat([scale for _, scale in centred]).double()
-    sums, magnitude = gradient_sums(images, f, w)
-    first, second, product = sums.unbind(-1)
-    total = w.sum(dtype=torch.float64).clamp(min=torch.finfo(torch.float64).tiny)
-    length = (second - first.square() / total).clamp(min=0).sqrt()
-    varies = ~(length <= 8 * torch.finfo(images.dtype).eps * magnitude[:, None] * total.sqrt())
-    return torch.where(varies, product * one_over_f / torch.where(varies, length, 1), 0).mean(1).to(images)
+    prepared = fixed_gradients(fixed, weight)
+    gram, magnitude = gradient_gram(images, *prepared)
+    return equations_from_gram(gram, magnitude, prepared, torch.finfo(images.dtype).eps).similarity.to(images)

@@ -1,0 +1,84 @@
+"""Speed of this project and its peers on the same volume, poses and detector: one row per implementation and case.
+
+    REGTORCH_DATA=... python -m experiments.benchmark [only=[value_125,gc_125]] [threads=2] [out=results/benchmark]
+
+Writes ``benchmark.csv`` after each case, where rows of a case replace those that it had on the same device.
+``experiments.benchmark_figures`` draws. Columns:
+
+- per_second: images (for Jacobians: images with theirs; for scores: poses), by the median turn
+- times_regtorch: the rate of the case's first row, regtorch's, over this row's
+- share_of_limit: for regtorch, samples that no tile of 8 x 16 pixels can skip (``limits.samples_needed``, a lower
+  bound of those taken) per second, over the reads of 16 bytes that as many threads can make
+  (``limits.gathers_per_second``); on a GPU, their bytes over what its cache can deliver
+- samples_per_second: rays x slices of the whole volume, skipped or not, per second
+- relative_difference: of images (or gradients) from regtorch's by the same method, by norm, before anything was timed
+- seconds, seconds_spread: of one call with ``poses`` poses; slowest less fastest turn over the median
+- megabytes: by which memory grew at most
+"""
+
+from pathlib import Path
+from typing import Any
+
+import hydra
+import pandas as pd
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tqdm import tqdm
+
+from experiments.benchmark_cases import Bench
+from experiments.benchmark_scene import Scenes
+from regtorch import __version__
+from regtorch.errors import RegtorchError
+
+COLUMNS = [
+    "case", "implementation", "device", "threads", "per_second", "times_regtorch", "share_of_limit",
+    "samples_per_second", "relative_difference", "seconds", "seconds_spread", "poses", "pixels", "voxel_mm", "voxels",
+    "megabytes", "version",
+]  # fmt: skip
+
+NOT_MEASURED = "not measured"
+
+
+@hydra.main(version_base="1.3", config_path="../conf", config_name="benchmark")
+def main(config: DictConfig) -> None:
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "settings.yaml").write_text(OmegaConf.to_yaml(config))
+    bench = bench_of(config, tqdm.write)
+    with tqdm(chosen(config).items(), unit="case") as bar:
+        for name, case in bar:
+            bar.set_postfix_str(name)
+            write(out / "benchmark.csv", measured(bench, name, case))
+
+
+def bench_of(config: DictConfig, say: Any = print) -> Bench:
+    peers = {name: instantiate(peer) for name, peer in config.peers.items()}
+    return Bench(config, Scenes(config), peers, say)
+
+
+def chosen(config: DictConfig) -> dict[str, Any]:
+    names = list(config.cases) if config.only is None else list(config.only)
+    if missing := [name for name in names if name not in config.cases]:
+        raise RegtorchError(f"only={missing[0]}: expected of {', '.join(config.cases)}")
+    return {name: instantiate(config.cases[name]) for name in names}
+
+
+def measured(bench: Bench, name: str, case: Any) -> pd.DataFrame:
+    rows = pd.DataFrame([{"case": name, "version": __version__} | row for row in case(bench)])
+    return rows.reindex(columns=COLUMNS)
+
+
+def write(table: Path, rows: pd.DataFrame) -> None:
+    """Rows take the place of older ones of the same case and device, and of what was not measured."""
+    if table.exists():
+        old = pd.read_csv(table, dtype=object)
+        again = old["case"].isin(rows["case"]) & (
+            old["device"].isin(rows["device"]) | (old["per_second"] == NOT_MEASURED)
+        )
+        kept = old[~again]
+        rows = pd.concat([kept, rows.astype(object)]) if len(kept) else rows
+    rows.to_csv(table, index=False, float_format="%.6g")
+
+
+if __name__ == "__main__":
+    main()

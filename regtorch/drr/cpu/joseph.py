@@ -1,0 +1,340 @@
+"""Joseph's method (Joseph 1982) over tiles of pixels: values, and what they change by when a ray's ends move.
+
+A tile's rays are followed together, slice by slice across their main axis m. Between the four corner rays lies the
+whole tile, so a summed-area table of "anything here" tells in four reads whether a slice can be skipped. What is left
+is done in three loops, of which the first and the last become vector instructions: positions and offsets; reads, one
+group of four voxels each; sums.
+
+On slice k a ray is at (a0 + k da, b0 + k db). Its integral is L T, T = sum of f over slices, L the length per slice.
+With f_a, f_b the derivatives of a bilinear value, the four sums of f_a, f_b, (k - S_m) f_a and (k - S_m) f_b give the
+derivative by source S and pixel P: from da = (P_a - S_a) / D, D = P_m - S_m, and a0 = S_a - S_m da follow
+d a(k) = dS_a - da dS_m + (k - S_m) d da and d da = (dP_a - dS_a - da (dP_m - dS_m)) / D.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from regtorch.drr.cpu.slices import BLOCK, BORDER
+
+TILE_ROWS, TILE_COLUMNS = 8, 16
+N = TILE_ROWS * TILE_COLUMNS
+
+# Places in a tile's float32 scratch, each N long: one array, so that the compiler sees that they do not overlap.
+A0, DA, B0, DB, END, FA, FB, SHARE, DERIVATIVE, TOTAL = (N * i for i in range(10))
+TOTAL_A, TOTAL_B, MOMENT_A, MOMENT_B, AT_HIGH, AT_LOW = (N * i for i in range(6))
+SOURCE_A, SOURCE_B, SOURCE_M, PIXEL_A, PIXEL_B, PIXEL_M = (N * i for i in range(6))
+PER_CHANNEL = 6 * N
+
+_MIXED = -1
+
+
+_ROW, _COLUMN = np.divmod(np.arange(N), TILE_COLUMNS)
+_TILE_ROW, _TILE_COLUMN = _ROW.astype(np.float64), _COLUMN.astype(np.float64)
+_Y, _X = _ROW.astype(np.float32), _COLUMN.astype(np.float32)
+"""Where pixel q of a tile lies. Loops run over q, for a compiler has use for long loops only."""
+
+
+@njit(nogil=True)
+@no_type_check
+def scratch(channels):
+    """Floats [(10 + c) N], offsets [N], groups of four voxels [N] and the same as floats."""
+    groups = np.empty(N, np.complex128)
+    return np.empty(TOTAL + channels * N, np.float32), np.empty(N, np.uint32), groups, groups.view(np.float32)
+
+
+@njit(nogil=True)
+@no_type_check
+def slope_scratch(channels, jacobian):
+    """Room for derivatives, or None where there is no jacobian to fill."""
+    if jacobian is None:
+        return None
+    return np.empty(channels * PER_CHANNEL, np.float32)
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
+def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
+    """``rows`` rows of a tile, or one pixel if 0, along one main axis: values into the scratch at TOTAL, derivatives into ``slopes`` unless it is None.
+
+    Channel c has its value at TOTAL + c N, its derivatives by source and pixel at c PER_CHANNEL + SOURCE_A ... PIXEL_M,
+    along the axes ``in_plane(main)`` and ``main``.
+    """
+    s, offset, groups, four = room
+    all_groups, all_tables, sizes = stacks
+    stack, tables = all_groups[main], all_tables[main]
+    ia, ib = in_plane(main)
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    stride = np.uint32(sizes[main][0])
+    a_end, b_end = np.float32(sizes[main][0] - 2), np.float32(sizes[main][1] - 2)
+    pixels = max(rows * TILE_COLUMNS, 1)
+    count = np.uint64(pixels)
+    _rays(ray, ia, ib, main, row0, column0, count, s)
+    channels = stack.shape[0]
+    for c in range(channels):
+        for q in range(count):
+            s[TOTAL + c * N + q] = zero
+        if slopes is not None:
+            slopes[c * PER_CHANNEL : (c + 1) * PER_CHANNEL] = zero
+    q1, q2, q3 = min(TILE_COLUMNS, pixels) - 1, max(pixels - TILE_COLUMNS, 0), pixels - 1  # the corners, with 0
+    source = np.float32(ray[main])
+    near, far = min(s[END], s[END + q1]), max(s[END], s[END + q1])
+    near, far = min(near, min(s[END + q2], s[END + q3])), max(far, max(s[END + q2], s[END + q3]))
+    # Slices that any ray reaches, and those that every ray crosses in full.
+    start = int(max(math.floor(min(source, near) + half), zero))
+    stop = int(min(math.ceil(max(source, far) + half), np.float32(stack.shape[1])))
+    first_whole = (source if source < near else far) + half
+    last_whole = (near if source < near else source) - half
+    for slice_index in range(start, stop):
+        k = np.float32(slice_index)
+        a_0, a_1 = s[A0] + k * s[DA], s[A0 + q1] + k * s[DA + q1]
+        a_2, a_3 = s[A0 + q2] + k * s[DA + q2], s[A0 + q3] + k * s[DA + q3]
+        b_0, b_1 = s[B0] + k * s[DB], s[B0 + q1] + k * s[DB + q1]
+        b_2, b_3 = s[B0 + q2] + k * s[DB + q2], s[B0 + q3] + k * s[DB + q3]
+        a_low, a_high = min(min(a_0, a_1), min(a_2, a_3)), max(max(a_0, a_1), max(a_2, a_3))
+        b_low, b_high = min(min(b_0, b_1), min(b_2, b_3)), max(max(b_0, b_1), max(b_2, b_3))
+        if a_high <= one or b_high <= one or a_low >= a_end or b_low >= b_end:
+            continue
+        located = False
+        whole = first_whole <= k <= last_whole
+        for c in range(channels):
+            if _is_empty(tables[c, slice_index], a_low, a_high, b_low, b_high, a_end, b_end):
+                continue
+            if not located:
+                located = True
+                _locate(k, count, stride, a_end, b_end, s, offset)
+                if not whole:
+                    _shares(k, source, count, s)
+            values = stack[c, slice_index]
+            for q in range(count):
+                groups[q] = values[np.uint64(offset[q])]
+            if slopes is None:
+                if whole:
+                    for q in range(count):
+                        s[TOTAL + c * N + q] += _value(s, four, q)
+                else:
+                    for q in range(count):
+                        s[TOTAL + c * N + q] += s[SHARE + q] * _value(s, four, q)
+            else:
+                if whole:
+                    for q in range(count):
+                        _add(s, slopes, four, c, q, one, k - source)
+                else:
+                    for q in range(count):
+                        _add(s, slopes, four, c, q, s[SHARE + q], k - source)
+                    _add_ends(s, slopes, four, c, k, source, count)
+    _finish(ia, ib, main, spacing, source, channels, count, s, slopes)
+
+
+@njit(nogil=True, inline="always")
+@no_type_check
+def in_plane(main):
+    """The axes a and b of slices across ``main``."""
+    return (0 if main != 0 else 1), (2 if main != 2 else 1)
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
+def _rays(ray, ia, ib, im, row0, column0, count, s):
+    """Where rays are on slice 0, from its border, and per slice, and on which slice their pixel lies."""
+    source_a, source_b, source_m = ray[ia], ray[ib], ray[im]
+    along = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im] - source_m
+    across_a = ray[3 + ia] + column0 * ray[6 + ia] + row0 * ray[9 + ia] - source_a
+    across_b = ray[3 + ib] + column0 * ray[6 + ib] + row0 * ray[9 + ib] - source_b
+    for q in range(count):
+        row, column = _TILE_ROW[q], _TILE_COLUMN[q]
+        distance = along + column * ray[6 + im] + row * ray[9 + im]
+        da = (across_a + column * ray[6 + ia] + row * ray[9 + ia]) / distance
+        db = (across_b + column * ray[6 + ib] + row * ray[9 + ib]) / distance
+        s[A0 + q] = np.float32(source_a - source_m * da + BORDER)
+        s[DA + q] = np.float32(da)
+        s[B0 + q] = np.float32(source_b - source_m * db + BORDER)
+        s[DB + q] = np.float32(db)
+        s[END + q] = np.float32(source_m + distance)
+
+
+@njit(nogil=True, inline="always")
+@no_type_check
+def _is_empty(table, a_low, a_high, b_low, b_high, a_end, b_end):
+    zero = np.float32(0)
+    al, ah = int(max(a_low, zero)) // BLOCK, int(min(a_high, a_end)) // BLOCK + 1
+    bl, bh = int(max(b_low, zero)) // BLOCK, int(min(b_high, b_end)) // BLOCK + 1
+    ah, bh = min(ah, table.shape[1] - 1), min(bh, table.shape[0] - 1)
+    return table[bh, ah] - table[bl, ah] - table[bh, al] + table[bl, al] == 0
+
+
+@njit(nogil=True, fastmath={"contract"})
+@no_type_check
+def _locate(k, count, stride, a_end, b_end, s, offset):
+    zero = np.float32(0)
+    for q in range(count):
+        a = min(max(s[A0 + q] + k * s[DA + q], zero), a_end)
+        b = min(max(s[B0 + q] + k * s[DB + q], zero), b_end)
+        column, row = np.int32(a), np.int32(b)
+        s[FA + q], s[FB + q] = a - np.float32(column), b - np.float32(row)
+        offset[q] = np.uint32(row) * stride + np.uint32(column)
+
+
+@njit(nogil=True)
+@no_type_check
+def _shares(k, source, count, s):
+    """Slice k stands for the slab from k - 1/2 to k + 1/2, of which only the part between source and pixel counts."""
+    half, zero = np.float32(0.5), np.float32(0)
+    for q in range(count):
+        end = s[END + q]
+        s[SHARE + q] = max(min(k + half, max(source, end)) - max(k - half, min(source, end)), zero)
+
+
+@njit(nogil=True, inline="always")
+@no_type_check
+def _value(s, four, q):
+    v00, v10, v01, v11 = four[4 * q], four[4 * q + 1], four[4 * q + 2], four[4 * q + 3]
+    upper = v00 + s[FA + q] * (v01 - v00)
+    lower = v10 + s[FA + q] * (v11 - v10)
+    return upper + s[FB + q] * (lower - upper)
+
+
+@njit(nogil=True, inline="always")
+@no_type_check
+def _add(s, slopes, four, c, q, share, from_source):
+    v00, v10, v01, v11 = four[4 * q], four[4 * q + 1], four[4 * q + 2], four[4 * q + 3]
+    upper_step, lower_step = v01 - v00, v11 - v10
+    upper = v00 + s[FA + q] * upper_step
+    lower = v10 + s[FA + q] * lower_step
+    along_a = share * (upper_step + s[FB + q] * (lower_step - upper_step))
+    along_b = share * (lower - upper)
+    at = c * PER_CHANNEL + q
+    s[TOTAL + c * N + q] += share * (upper + s[FB + q] * (lower - upper))
+    slopes[TOTAL_A + at] += along_a
+    slopes[TOTAL_B + at] += along_b
+    slopes[MOMENT_A + at] += from_source * along_a
+    slopes[MOMENT_B + at] += from_source * along_b
+
+
+@njit(nogil=True)
+@no_type_check
+def _add_ends(s, slopes, four, c, k, source, count):
+    """What the slice adds when source or pixel, where one lies in it, moves along the main axis."""
+    half, zero = np.float32(0.5), np.float32(0)
+    for q in range(count):
+        value = _value(s, four, q) if s[SHARE + q] > zero else zero
+        end = s[END + q]
+        if max(source, end) < k + half:
+            slopes[AT_HIGH + c * PER_CHANNEL + q] += value
+        if min(source, end) > k - half:
+            slopes[AT_LOW + c * PER_CHANNEL + q] += value
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
+def _finish(ia, ib, im, spacing, source, channels, count, s, slopes):
+    """Sums into integrals and derivatives."""
+    one, zero = np.float32(1), np.float32(0)
+    size_a, size_b, size_m = np.float32(spacing[ia] ** 2), np.float32(spacing[ib] ** 2), np.float32(spacing[im] ** 2)
+    for c in range(channels):
+        at = c * PER_CHANNEL
+        for q in range(count):
+            da, db = s[DA + q], s[DB + q]
+            length = math.sqrt(da * da * size_a + db * db * size_b + size_m)
+            total = s[TOTAL + c * N + q]
+            s[TOTAL + c * N + q] = length * total
+            if slopes is not None:
+                along = s[END + q] - source
+                over_a = (length * slopes[at + MOMENT_A + q] + total * da * size_a / length) / along
+                over_b = (length * slopes[at + MOMENT_B + q] + total * db * size_b / length) / along
+                sum_a, sum_b = length * slopes[at + TOTAL_A + q], length * slopes[at + TOTAL_B + q]
+                high, low = length * slopes[at + AT_HIGH + q], -length * slopes[at + AT_LOW + q]
+                turned = over_a * da + over_b * db
+                forward = one if along > zero else zero
+                slopes[at + SOURCE_A + q] = sum_a - over_a
+                slopes[at + SOURCE_B + q] = sum_b - over_b
+                slopes[at + SOURCE_M + q] = (
+                    turned - sum_a * da - sum_b * db + forward * low + (one - forward) * high
+                )
+                slopes[at + PIXEL_A + q] = over_a
+                slopes[at + PIXEL_B + q] = over_b
+                slopes[at + PIXEL_M + q] = forward * high + (one - forward) * low - turned
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
+def paint(stacks, spacing, ray, ray_jacobian, place, room, slopes, image, jacobian, top, left):
+    """One tile of an image [c, h, w] whose first pixel is (top, left) and, unless None, of its jacobian [c, p, h, w].
+
+    ``place`` is the tile's first row, last row + 1, first column, last column + 1.
+    """
+    row0, row1, column0, column1 = place
+    main = _main_axis(ray, row0, column0)
+    for row in (row0, row1 - 1):
+        if not main == _main_axis(ray, row, column0) == _main_axis(ray, row, column0 + TILE_COLUMNS - 1):
+            main = _MIXED
+    if main != _MIXED:
+        main %= 3
+        follow(stacks, spacing, main, ray, row0, column0, row1 - row0, room, slopes)
+        _put(main, ray_jacobian, row0, row1, column0, column1, room[0], slopes, image, jacobian, top, left)
+        return
+    for row in range(row0, row1):
+        for column in range(column0, column1):
+            main = _main_axis(ray, row, column) % 3
+            follow(stacks, spacing, main, ray, row, column, 0, room, slopes)
+            _put(main, ray_jacobian, row, row + 1, column, column + 1, room[0], slopes, image, jacobian, top, left)
+
+
+@njit(nogil=True, error_model="numpy")
+@no_type_check
+def _main_axis(ray, row, column):
+    """The axis nearest to one ray, plus 3 where the ray runs down it."""
+    best, main = -1.0, 0
+    for axis in range(3):
+        along = ray[3 + axis] + column * ray[6 + axis] + row * ray[9 + axis] - ray[axis]
+        if abs(along) > best:
+            best, main = abs(along), axis if along > 0 else axis + 3
+    return main
+
+
+@njit(nogil=True, fastmath={"contract"})
+@no_type_check
+def _put(main, ray_jacobian, row0, row1, column0, column1, s, slopes, image, jacobian, top, left):
+    """From the scratch into images; d/dp = gS dS/dp + gP (dF/dp + column dC/dp + row dR/dp), P = F + column C + row R."""
+    ia, ib = in_plane(main)
+    count = np.uint64((row1 - row0) * TILE_COLUMNS)
+    for c in range(image.shape[0]):
+        _copy(s, TOTAL + c * N, row0 - top, row1 - top, column0 - left, column1 - left, image[c])
+        if slopes is not None:
+            at = c * PER_CHANNEL
+            for p in range(jacobian.shape[1]):
+                by_p = ray_jacobian[:, p]
+                s_a, s_b, s_m = np.float32(by_p[ia]), np.float32(by_p[ib]), np.float32(by_p[main])
+                p_a, across_a, down_a = _pixel(by_p, ia, row0, column0)
+                p_b, across_b, down_b = _pixel(by_p, ib, row0, column0)
+                p_m, across_m, down_m = _pixel(by_p, main, row0, column0)
+                for q in range(count):
+                    x, y = _X[q], _Y[q]
+                    s[DERIVATIVE + q] = (
+                        slopes[at + SOURCE_A + q] * s_a
+                        + slopes[at + SOURCE_B + q] * s_b
+                        + slopes[at + SOURCE_M + q] * s_m
+                        + slopes[at + PIXEL_A + q] * (p_a + x * across_a + y * down_a)
+                        + slopes[at + PIXEL_B + q] * (p_b + x * across_b + y * down_b)
+                        + slopes[at + PIXEL_M + q] * (p_m + x * across_m + y * down_m)
+                    )
+                _copy(s, DERIVATIVE, row0 - top, row1 - top, column0 - left, column1 - left, jacobian[c, p])
+
+
+@njit(nogil=True)
+@no_type_check
+def _copy(s, first, row0, row1, column0, column1, image):
+    for row in range(row0, row1):
+        at = first + (row - row0) * TILE_COLUMNS
+        for column in range(column0, column1):
+            image[row, column] = s[at + column - column0]
+
+
+@njit(nogil=True, inline="always")
+@no_type_check
+def _pixel(by_p, axis, row, column):
+    """How the pixel (row, column) moves along an axis, how much more the next in its row does, and in its column."""
+    across, down = by_p[6 + axis], by_p[9 + axis]
+    return np.float32(by_p[3 + axis] + column * across + row * down), np.float32(across), np.float32(down)

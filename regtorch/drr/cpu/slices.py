@@ -1,0 +1,71 @@
+"""The volume as Joseph's method reads it: slices across a main axis, four neighbours in one read, empty parts known."""
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
+
+BLOCK = 4
+"""Side of the blocks of cells that the table of what is occupied tells apart."""
+
+BORDER = 2
+"""Voxels of air around a slice: what is read for a ray outside has neither value nor slope."""
+
+_prepared = WeakTensorKeyDictionary()
+
+Slices = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def slices_across(data: Tensor, axis: int) -> Slices:
+    """``data`` [d, h, w] or [c, d, h, w] across axis i, j or k (0, 1, 2), kept as long as the tensor lives unchanged.
+
+    First, groups [c, n, cells]: a complex number of 16 bytes holds the four voxels (b, a), (b + 1, a), (b, a + 1),
+    (b + 1, a + 1) of a slice with a border of air. Second, tables of what is occupied, ``_occupancy``. Third, the size
+    of a slice with its border: along a, along b.
+    """
+    version, kept = _prepared.get(data, (None, {}))
+    if data.is_inference():  # torch does not count the changes of such a tensor
+        kept = {}
+    elif version != data._version:
+        kept = {}
+        _prepared[data] = (data._version, kept)
+    if axis not in kept:
+        voxels = data.detach().reshape(-1, *data.shape[-3:]).numpy()
+        across = np.moveaxis(voxels, 3 - axis, 1)
+        kept[axis] = _stacked(across)
+    return kept[axis]
+
+
+def _stacked(across: np.ndarray) -> Slices:
+    c, n, h, w = across.shape
+    pairs = np.zeros((c, n, h + 2 * BORDER, w + 2 * BORDER, 2), np.float32)
+    pairs[:, :, BORDER : h + BORDER, BORDER : w + BORDER, 0] = across
+    pairs[:, :, :-1, :, 1] = pairs[:, :, 1:, :, 0]
+    strides = (*pairs.strides[:2], pairs.itemsize * 2)  # each group shares half of its bytes with the next
+    groups = np.ndarray((c, n, pairs[0, 0, ..., 0].size - 1), np.complex128, buffer=pairs.data, strides=strides)
+    return groups, _occupancy(pairs[..., 0]), np.array(pairs.shape[3:1:-1])
+
+
+def _occupancy(slices: np.ndarray) -> np.ndarray:
+    """Per slice, a summed-area table over blocks of cells between four voxels: 1 where any of these is not zero."""
+    occupied = slices != 0
+    cells = occupied[..., :-1, :-1] | occupied[..., 1:, :-1] | occupied[..., :-1, 1:] | occupied[..., 1:, 1:]
+    c, n, h, w = cells.shape
+    cells = np.pad(cells, ((0, 0), (0, 0), (0, -h % BLOCK), (0, -w % BLOCK)))
+    blocks = cells.reshape(c, n, cells.shape[2] // BLOCK, BLOCK, -1, BLOCK).any(axis=(3, 5))
+    table = blocks.cumsum(axis=2, dtype=np.int32).cumsum(axis=3, dtype=np.int32)
+    return np.pad(table, ((0, 0), (0, 0), (1, 0), (1, 0)))
+
+
+def prepared(data: Tensor, rays: np.ndarray, rows: int, columns: int) -> tuple[tuple, tuple, tuple]:
+    """Groups, tables and sizes for axes i, j, k as far as these rays follow them."""
+    source, first, column_step, row_step = rays.reshape(-1, 4, 3).transpose(1, 0, 2)
+    corners = [first + c * column_step + r * row_step - source for r in (0, rows - 1) for c in (0, columns - 1)]
+    directions = np.stack(corners)  # they enclose all others
+    main = np.abs(directions).argmax(axis=2)
+    signed = np.where(np.take_along_axis(directions, main[..., None], axis=2)[..., 0] > 0, main, main - 3)
+    needed = set(main[0].tolist()) if (signed == signed[0]).all() else range(3)
+    nothing = _stacked(np.zeros((data.shape[:-3].numel(), 1, 1, 1), np.float32))
+    stacks = [slices_across(data, axis) if axis in needed else nothing for axis in range(3)]
+    groups, tables, sizes = zip(*stacks, strict=True)
+    return groups, tables, sizes

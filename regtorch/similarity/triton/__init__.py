@@ -1,0 +1,37 @@
+"""The sums behind gradient correlation on a GPU, in one pass over each image, its gradients never stored."""
+
+import os
+from importlib.util import find_spec
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_BLOCK = 1024
+
+
+def can_sum(images: Tensor) -> bool:
+    """Whether ``gradient_sums`` can take these images: float32 on a GPU with Triton, no derivative wanted."""
+    wanted = torch.is_grad_enabled() and images.requires_grad
+    runs = images.is_cuda or os.environ.get("TRITON_INTERPRET") == "1"
+    return runs and images.dtype == torch.float32 and not wanted and find_spec("triton") is not None
+
+
+def gradient_sums(
+    images: Float[Tensor, "n h w"], fixed: Float[Tensor, "2 h w"], weight: Float[Tensor, "h w"]
+) -> tuple[Float[Tensor, "n 2 3"], Float[Tensor, " n"]]:
+    """As ``similarity.cpu.gradient_sums``, on the images' device: sums of w m, w m m and m f, and root mean squares.
+
+    Blocks of pixels are summed in float32 and the blocks in float64, always in the same order.
+    """
+    from regtorch.similarity.triton import kernels
+
+    n, rows, columns = images.shape
+    blocks = -(-rows * columns // _BLOCK)
+    parts = images.new_zeros(n, blocks, 7, dtype=torch.float64)
+    if parts.numel():
+        tensors = (t.detach().contiguous() for t in (images, fixed, weight, parts))
+        with torch.cuda.device_of(images):
+            kernels.gradient_sums[(n * blocks,)](*tensors, rows, columns, BLOCK=_BLOCK, enable_fp_fusion=True)
+    sums = parts.sum(1)
+    return sums[:, :6].unflatten(1, (2, 3)), (sums[:, 6] / max(1, rows * columns)).sqrt()
