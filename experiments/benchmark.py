@@ -64,8 +64,9 @@ def chosen(config: DictConfig) -> dict[str, Any]:
 
 
 def measured(bench: Bench, name: str, case: Any) -> pd.DataFrame:
-    rows = pd.DataFrame([{"case": name, "version": __version__} | row for row in case(bench)])
-    return rows.reindex(columns=COLUMNS)
+    rows = [{"case": name, "version": __version__} | row for row in case(bench)]
+    digits = [{key: f"{v:.6g}" if isinstance(v, float) else v for key, v in row.items()} for row in rows]
+    return pd.DataFrame(digits, columns=COLUMNS, dtype=object)
 
 
 def write(table: Path, rows: pd.DataFrame) -> None:
@@ -76,8 +77,8 @@ def write(table: Path, rows: pd.DataFrame) -> None:
             old["device"].isin(rows["device"]) | (old["per_second"] == NOT_MEASURED)
         )
         kept = old[~again]
-        rows = pd.concat([kept, rows.astype(object)]) if len(kept) else rows
-    rows.to_csv(table, index=False, float_format="%.6g")
+        rows = pd.concat([kept, rows])
+    rows.to_csv(table, index=False)
 
 
 if __name__ == "__main__":

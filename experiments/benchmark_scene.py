@@ -36,7 +36,7 @@ class Scenes:
 
     def __init__(self, config: DictConfig) -> None:
         self.config = config
-        self.ct = make_phantom(config.phantom_spacing_mm)[0] if config.ct is None else read_volume(config.ct)
+        self.ct = make_phantom(float(config.phantom_spacing_mm))[0] if config.ct is None else read_volume(config.ct)
         self.volume = lru_cache(maxsize=3)(self._volume)
 
     def scene(
@@ -47,7 +47,9 @@ class Scenes:
 
     def classes(self, pixels: int, voxel_mm: float, poses: int | None = None) -> dict[str, Scene]:
         """All tissue; bone and the rest as two classes; bone alone: on one grid."""
-        everything, bone = (_in_air(coarsen(attenuation(self.ct, threshold_hu=hu), voxel_mm)) for hu in (None, BONE_HU))
+        everything, bone = (
+            _in_air(coarsen(attenuation(self.ct, threshold_hu=hu), float(voxel_mm))) for hu in (None, BONE_HU)
+        )
         both = replace(everything, data=torch.stack([bone.data, everything.data - bone.data]))
         volumes = {"all tissue": everything, "two classes": both, "bone alone": bone}
         return {name: self._of(volume, pixels, poses) for name, volume in volumes.items()}
@@ -74,7 +76,7 @@ class Scenes:
 
     def _volume(self, threshold_hu: float | None, voxel_mm: float | None) -> Volume:
         volume = crop_to_anatomy(attenuation(self.ct, threshold_hu=threshold_hu))
-        return _in_air(volume if voxel_mm is None else coarsen(volume, voxel_mm))
+        return _in_air(volume if voxel_mm is None else coarsen(volume, float(voxel_mm)))
 
 
 def _in_air(volume: Volume) -> Volume:

@@ -26,6 +26,8 @@ from regtorch.imaging import Volume
 Images = Callable[[Float[Tensor, "b 9"]], Float[Tensor, "b h w"]]
 Gradient = Callable[[Float[Tensor, "b 9"], Float[Tensor, "h w"]], Float[Tensor, "b 9"]]
 
+_RAYS_AT_ONCE = 1 << 15  # about the fastest for torch on a CPU: two poses at 125 x 125 pixels
+
 
 def rtk(volume: Volume, detector: Detector, view: str, threads: int) -> Images:
     """RTK's Joseph projector on CPU threads, all poses as one stack; ``tests/drr/test_rtk.py`` tells its frames."""
@@ -73,7 +75,7 @@ def nanodrr(
     threads: int,
     *,
     samples: int | None = None,
-    at_once: int = 1,
+    at_once: int | None = None,
     backend: str = "torch",
     gradient: bool = False,
 ) -> Images | Gradient:
@@ -82,6 +84,7 @@ def nanodrr(
     The gradient goes back through its extrinsic and intrinsic matrices to all nine parameters.
     """
     render = _nanodrr(volume, detector, view, samples, backend)
+    at_once = at_once or max(1, _RAYS_AT_ONCE // (detector.rows * detector.columns))
     return partial(_gradient if gradient else _without_gradient, render, at_once=at_once)
 
 
@@ -93,7 +96,7 @@ def diffdrr(
     *,
     renderer: str = "trilinear",
     samples: int | None = None,
-    at_once: int = 1,
+    at_once: int | None = None,
     gradient: bool = False,
 ) -> Images | Gradient:
     """DiffDRR's renderers on rays in voxels, so that no way of its own from pose to rays is on the clock.
@@ -101,6 +104,7 @@ def diffdrr(
     ``trilinear`` takes ``samples`` along each ray, by default its own 500; ``siddon`` takes none.
     """
     render = _diffdrr(volume, detector, view, renderer, samples)
+    at_once = at_once or max(1, _RAYS_AT_ONCE // (detector.rows * detector.columns))
     return partial(_gradient if gradient else _without_gradient, render, at_once=at_once)
 
 

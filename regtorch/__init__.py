@@ -23,7 +23,9 @@ _HOME = {
     "read_volume": "regtorch.imaging",
     "register": "regtorch.registration",
     "render": "regtorch.drr",
+    "render_with_jacobian": "regtorch.drr",
     "simulate": "regtorch.simulation",
+    "tissue_classes": "regtorch.imaging",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -76,17 +76,13 @@ def _shaped(result: Tensor, volume: Volume, parameters: Float[Tensor, "*b 9"]) -
     return result.reshape(*parameters.shape[:-1], *result.shape[1:])
 
 
-def rays_of(
-    volume: Volume, parameters: Float[Tensor, "*b 9"], detector: Detector, view: str
-) -> Float[Tensor, "b 12"]:
+def rays_of(volume: Volume, parameters: Float[Tensor, "*b 9"], detector: Detector, view: str) -> Float[Tensor, "b 12"]:
     """Twelve numbers per pose in float64 on the volume's device."""
     flat = parameters.reshape(-1, 9).to(volume.data.device, torch.float64)
     return cone_beam_rays(flat, detector, view, volume.voxel_from_ct)
 
 
-def chosen_backend(
-    volume: Volume, parameters: Float[Tensor, "*b 9"], method: str, backend: str
-) -> ModuleType:
+def chosen_backend(volume: Volume, parameters: Float[Tensor, "*b 9"], method: str, backend: str) -> ModuleType:
     """The module that is to work; checks everything ``render`` is given."""
     for what, name, known in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if name not in known:

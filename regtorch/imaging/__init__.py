@@ -1,6 +1,6 @@
 """CT and radiograph: in and out of files, made into what the registration compares, checked."""
 
-from regtorch.imaging.attenuation import BONE_HU, attenuation, crop_to_anatomy
+from regtorch.imaging.attenuation import BONE_HU, attenuation, crop_to_anatomy, tissue_classes
 from regtorch.imaging.averaging import coarsen
 from regtorch.imaging.checks import check_radiograph, check_volume
 from regtorch.imaging.radiograph import Radiograph, level
@@ -21,6 +21,7 @@ __all__ = [
     "level",
     "read_radiograph",
     "read_volume",
+    "tissue_classes",
     "write_radiograph",
     "write_volume",
 ]

@@ -1,5 +1,7 @@
 """HU to linear attenuation, and the box of what attenuates."""
 
+from dataclasses import replace
+
 import torch
 
 from regtorch.errors import RegtorchError
@@ -38,20 +40,34 @@ def attenuation(
     return volume.with_data(data, unit="per_mm")
 
 
+def tissue_classes(
+    volume: Volume, *, limits_hu: tuple[float, ...] = (BONE_HU,), mu_water_per_mm: float = MU_WATER_PER_MM
+) -> Volume:
+    """``attenuation`` of all tissue, split into classes [c, d, h, w] at limits in HU: soft tissue and bone by default.
+
+    The classes sum to the whole; a voxel of exactly a limit belongs to the denser class.
+    """
+    whole = attenuation(volume, threshold_hu=None, mu_water_per_mm=mu_water_per_mm)
+    limits = volume.data.new_tensor(sorted(limits_hu))
+    number = torch.bucketize(volume.data, limits, right=True)
+    classes = torch.stack([torch.where(number == c, whole.data, 0) for c in range(len(limits) + 1)])
+    return replace(whole, data=classes)
+
+
 def crop_to_anatomy(volume: Volume) -> Volume:
     """The box of all voxels that attenuate and one voxel around it where there is one; the ``ct`` origin stays."""
     if volume.unit != "per_mm":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected an attenuation per mm")
-    nonzero = volume.data != 0
+    nonzero = (volume.data != 0).reshape(-1, *volume.data.shape[-3:]).any(0)
     box = []
     for axis in range(3):
         others = tuple(a for a in range(3) if a != axis)
         found = nonzero.any(others[1]).any(others[0]).nonzero().flatten()
         if not len(found):
             raise RegtorchError(f"{volume.name}: nothing attenuates, expected some anatomy")
-        box.append((max(0, int(found[0]) - 1), min(volume.data.shape[axis], int(found[-1]) + 2)))
+        box.append((max(0, int(found[0]) - 1), min(nonzero.shape[axis], int(found[-1]) + 2)))
     (k0, k1), (j0, j1), (i0, i1) = box
     first = torch.tensor([i0, j0, k0, 1], dtype=torch.float64)
     patient_from_voxel = volume.patient_from_voxel.clone()
     patient_from_voxel[:, 3] = volume.patient_from_voxel @ first
-    return volume.on_grid(volume.data[k0:k1, j0:j1, i0:i1].contiguous(), patient_from_voxel)
+    return volume.on_grid(volume.data[..., k0:k1, j0:j1, i0:i1].contiguous(), patient_from_voxel)

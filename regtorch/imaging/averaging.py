@@ -32,27 +32,27 @@ def coarsen(volume: Volume, spacing_mm: float) -> Volume:
     data = volume.data if volume.unit == "per_mm" else volume.data - AIR_HU
     voxel_from_coarse = torch.eye(4, dtype=torch.float64)
     # Slices first: that pass is a plain weighted sum and leaves least for the two matrix products.
-    for axis, old_mm in zip((0, 1, 2), volume.spacing_mm.flip(0).tolist(), strict=True):
+    for axis, old_mm in zip((-3, -2, -1), volume.spacing_mm.flip(0).tolist(), strict=True):
         ratio, old = spacing_mm / old_mm, data.shape[axis]
         if ratio <= 1 + 1e-9:
             continue
         new = math.ceil(old / ratio - 1e-9)
         data = _average(data, axis, overlaps(old, new, ratio).to(data))
-        voxel_from_coarse[2 - axis, 2 - axis] = ratio
-        voxel_from_coarse[2 - axis, 3] = (old - 1) / 2 - ratio * (new - 1) / 2
+        voxel_from_coarse[-1 - axis, -1 - axis] = ratio
+        voxel_from_coarse[-1 - axis, 3] = (old - 1) / 2 - ratio * (new - 1) / 2
     if volume.unit == "HU":
         data = data + AIR_HU
     return volume.on_grid(data, volume.patient_from_voxel @ voxel_from_coarse)
 
 
-def _average(data: Float[Tensor, "d h w"], axis: int, weights: Float[Tensor, "new old"]) -> Float[Tensor, "*new"]:
-    if axis == 1:
+def _average(data: Float[Tensor, "*c d h w"], axis: int, weights: Float[Tensor, "new old"]) -> Float[Tensor, "..."]:
+    if axis == -2:
         return weights @ data
-    if axis == 2:
+    if axis == -1:
         return data @ weights.mT
     slices = []
     for row in weights:
         used = row.nonzero().flatten()
         first, last = int(used[0]), int(used[-1]) + 1
-        slices.append(torch.tensordot(row[first:last], data[first:last], dims=1))
-    return torch.stack(slices)
+        slices.append(torch.einsum("k,...khw->...hw", row[first:last], data[..., first:last, :, :]))
+    return torch.stack(slices, dim=-3)

@@ -12,7 +12,7 @@ from regtorch.errors import RegtorchError
 
 @dataclass(frozen=True)
 class Volume:
-    """Voxel values ``data[k, j, i]``, or ``data[c, k, j, i]`` for several classes of tissue, and where voxel (i, j, k) lies in the patient.
+    """Voxel values ``data[k, j, i]``, or ``data[c, k, j, i]`` for c classes of tissue, and their place in the patient.
 
     ``patient_from_voxel`` (float64, CPU) maps (i, j, k, 1) to LPS millimetres; its axes are orthogonal.
     ``origin_patient_mm`` is the origin of the ``ct`` frame, the centre of the CT as stored in its file: cropping and

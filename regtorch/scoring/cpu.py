@@ -10,7 +10,7 @@ from torch import Tensor
 
 from regtorch.drr.cpu.joseph import TILE_COLUMNS, TILE_ROWS, paint, scratch, slope_scratch
 from regtorch.drr.cpu.slices import prepared
-from regtorch.similarity.cpu import band_gram, bands
+from regtorch.similarity.cpu import band_gram, bands, gradient_scratch
 from regtorch.similarity.gram import FixedGradients
 
 
@@ -49,7 +49,7 @@ def _share(thread, threads, stacks, spacing, rays, ray_jacobian, band, unit, roo
     poses, count, _, images, _ = partial.shape
     rows, columns = root.shape
     buffer = np.empty((images, band + 2, columns), np.float32)
-    gradients = np.empty((images, band * columns), np.float32)
+    gradients = gradient_scratch(images, columns)
     image, jacobian = buffer[:1], _derivatives(buffer, ray_jacobian)
     room, slopes = scratch(1), slope_scratch(1, ray_jacobian)
     for item in range(thread, poses * count, threads):
@@ -62,8 +62,12 @@ def _share(thread, threads, stacks, spacing, rays, ray_jacobian, band, unit, roo
         for row in range(top, bottom, TILE_ROWS):
             for column in range(0, columns, TILE_COLUMNS):
                 place = row, min(row + TILE_ROWS, bottom), column, min(column + TILE_COLUMNS, columns)
-                paint(stacks, spacing, rays[pose], by_pose, place, room, slopes, image, jacobian, top, 0)
-        squares[pose, b] = band_gram(buffer, top, row0, row1, rows, unit, root, gradients, partial[pose, b])
+                paint(stacks, spacing, rays[pose], by_pose, place, room, slopes, image, jacobian, row0 - 1, 0)
+        if row0 == 0:  # borders are replicated
+            buffer[:, 0] = buffer[:, 1]
+        if row1 == rows:
+            buffer[:, rows - row0 + 1] = buffer[:, rows - row0]
+        squares[pose, b] = band_gram(buffer, row0, row1, unit, root, gradients, partial[pose, b])
 
 
 @njit(nogil=True)

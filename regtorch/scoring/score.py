@@ -55,12 +55,14 @@ def normal_equations(
     free: list[int] | None = None,
     backend: Backend = "auto",
 ) -> NormalEquations:
-    """As ``gradient_correlations``, with J^T J [*b, p, p] and J^T r [*b, p] by the parameters ``free`` (None: all nine).
+    """As ``gradient_correlations``, with J^T J [*b, p, p] and J^T r [*b, p] by the parameters ``free`` (None: all).
 
     r is the difference of the normalised gradient images, |r|^2 = 4 (1 - similarity), J its exact derivative
     (per mm, per rad), which is stored for a few rows of one image at a time.
     """
-    found = _scored(volume, parameters, detector, view, fixed, weight, list(range(9)) if free is None else free, backend)
+    found = _scored(
+        volume, parameters, detector, view, fixed, weight, list(range(9)) if free is None else free, backend
+    )
     return NormalEquations(*(part.reshape(*parameters.shape[:-1], *part.shape[1:]) for part in found))
 
 
@@ -100,7 +102,9 @@ def _gram(
     if by_free is None:
         images = chosen.project(volume.data, rays, *place)
     else:
-        images = torch.cat([part.flatten(1, -3) for part in chosen.project_with_jacobian(volume.data, rays, by_free, *place)], 1)
+        images = torch.cat(
+            [part.flatten(1, -3) for part in chosen.project_with_jacobian(volume.data, rays, by_free, *place)], 1
+        )
     return gradient_gram(images, fixed)
 
 

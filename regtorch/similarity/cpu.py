@@ -9,6 +9,7 @@ from numba import get_num_threads, njit, prange
 from torch import Tensor
 
 _ROWS = 64
+_GRADIENTS = 8192
 
 
 def can_sum(images: Tensor) -> bool:
@@ -45,61 +46,71 @@ def _grams(images, fixed, root, band, partial, squares, chunks):
     n, rows, columns = images.shape
     count = partial.shape[1]
     for chunk in prange(chunks):
-        gradients = np.empty((1, band * columns), np.float32)
+        padded, gradients = np.empty((1, band + 2, columns), np.float32), gradient_scratch(1, columns)
         for item in range(chunk, n * count, chunks):
             i, b = item // count, item % count
             row0, row1 = b * band, min((b + 1) * band, rows)
-            squares[i, b] = band_gram(images[i : i + 1], 0, row0, row1, rows, fixed, root, gradients, partial[i, b])
+            padded[0, 1 : row1 - row0 + 1] = images[i, row0:row1]
+            padded[0, 0], padded[0, row1 - row0 + 1] = images[i, max(row0 - 1, 0)], images[i, min(row1, rows - 1)]
+            squares[i, b] = band_gram(padded, row0, row1, fixed, root, gradients, partial[i, b])
 
 
 @njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
 @no_type_check
-def band_gram(images, top, row0, row1, rows, fixed, root, gradients, sums):
-    """Into ``sums`` [2, m, m + 2] for ``images`` [m, h, w] that begin at row ``top``, over rows ``row0`` to ``row1``.
+def band_gram(padded, row0, row1, fixed, root, gradients, sums):
+    """Into ``sums`` [2, m, m + 2] for rows ``row0`` to ``row1`` of images [m, h, w].
 
     For the x- and the y-gradients, each times ``root``: their products with ``fixed`` [2, h, w], with ``root`` and with
-    one another (upper triangle). Returns the sum of squares of the first image. ``gradients`` [m, pixels] is scratch.
+    one another (upper triangle). Returns the sum of squares of the first image. ``padded`` [m, rows + 2, w] holds the
+    rows from ``row0`` - 1 on, ``gradients`` is ``gradient_scratch``.
     """
-    m, _, columns = images.shape
-    eighth, two = np.float32(0.125), np.float32(2)
-    pixels = np.uint64((row1 - row0) * columns)
-    inner = np.uint64(columns - 1)
-    for direction in range(2):
-        for i in range(m):
-            for row in range(row0, row1):
-                above, here = images[i, max(row - 1, 0) - top], images[i, row - top]
-                below, weight = images[i, min(row + 1, rows - 1) - top], root[row]
-                line = gradients[i, (row - row0) * columns : (row - row0 + 1) * columns]
-                if direction == 0:
-                    for c in range(np.uint64(1), inner):
-                        after = above[c + np.uint64(1)] + two * here[c + np.uint64(1)] + below[c + np.uint64(1)]
-                        before = above[c - np.uint64(1)] + two * here[c - np.uint64(1)] + below[c - np.uint64(1)]
-                        line[c] = (after - before) * eighth * weight[c]
-                else:
-                    for c in range(np.uint64(1), inner):
-                        after = below[c - np.uint64(1)] + two * below[c] + below[c + np.uint64(1)]
-                        before = above[c - np.uint64(1)] + two * above[c] + above[c + np.uint64(1)]
-                        line[c] = (after - before) * eighth * weight[c]
-                for c in (0, columns - 1):  # borders are replicated
-                    p, n = max(c - 1, 0), min(c + 1, columns - 1)
-                    if direction == 0:
-                        step = above[n] + two * here[n] + below[n] - above[p] - two * here[p] - below[p]
-                    else:
-                        step = below[p] + two * below[c] + below[n] - above[p] - two * above[c] - above[n]
-                    line[c] = step * eighth * weight[c]
-        first = np.uint64(row0 * columns)
-        f, r = fixed[direction].ravel()[first:], root.ravel()[first:]
-        for i in range(m):
-            g = gradients[i]
-            sums[direction, i, 0] = _dot(g, f, pixels)
-            sums[direction, i, 1] = _dot(g, r, pixels)
-            for j in range(i, m):
-                sums[direction, i, 2 + j] = _dot(g, gradients[j], pixels)
+    m, _, columns = padded.shape
+    step = gradients.shape[2] // columns
+    sums[:] = 0
     square = 0.0
-    for row in range(row0, row1):
-        line = images[0, row - top]
-        square += _dot(line, line, np.uint64(columns))
+    for begin in range(0, row1 - row0, step):
+        end = min(begin + step, row1 - row0)
+        first, pixels = np.uint64((row0 + begin) * columns), np.uint64((end - begin) * columns)
+        r = root.ravel()[first:]
+        for i in range(m):
+            _differentiate(padded[i, begin:].ravel(), columns, pixels, r, gradients[0, i], gradients[1, i])
+        for direction in range(2):
+            f = fixed[direction].ravel()[first:]
+            for i in range(m):
+                g = gradients[direction, i]
+                sums[direction, i, 0] += _dot(g, f, pixels)
+                sums[direction, i, 1] += _dot(g, r, pixels)
+                for j in range(i, m):
+                    sums[direction, i, 2 + j] += _dot(g, gradients[direction, j], pixels)
+        inside = padded[0, begin + 1 :].ravel()
+        square += _dot(inside, inside, pixels)
     return square
+
+
+@njit(nogil=True, fastmath={"contract"})
+@no_type_check
+def _differentiate(above, columns, pixels, root, dx, dy):
+    """Sobel's derivatives over 8, times ``root``, of the rows after the first of those in ``above``.
+
+    In one loop over all rows as if they were one, after which each row's ends are set right: borders are replicated.
+    """
+    eighth, two = np.float32(0.125), np.float32(2)
+    here, below = above[columns:], above[2 * columns :]
+    one = np.uint64(1)
+    for i in range(one, pixels - one):
+        across = above[i + one] + two * here[i + one] + below[i + one]
+        across -= above[i - one] + two * here[i - one] + below[i - one]
+        down = below[i - one] + two * below[i] + below[i + one]
+        down -= above[i - one] + two * above[i] + above[i + one]
+        weight = eighth * root[i]
+        dx[i], dy[i] = across * weight, down * weight
+    for first in range(0, np.int64(pixels), columns):
+        for i in (first, first + columns - 1):
+            p, n = max(i - 1, first), min(i + 1, first + columns - 1)
+            across = above[n] + two * here[n] + below[n] - above[p] - two * here[p] - below[p]
+            down = below[p] + two * below[i] + below[n] - above[p] - two * above[i] - above[n]
+            weight = eighth * root[i]
+            dx[i], dy[i] = across * weight, down * weight
 
 
 @njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
@@ -109,3 +120,10 @@ def _dot(a, b, n):
     for i in range(n):
         total += a[i] * b[i]
     return np.float64(total)
+
+
+@njit(nogil=True)
+@no_type_check
+def gradient_scratch(images, columns):
+    """Room [2, images, pixels] for a few rows of gradients: what the fastest cache holds."""
+    return np.empty((2, images, max(1, _GRADIENTS // (images * columns)) * columns), np.float32)

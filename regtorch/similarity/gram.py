@@ -27,7 +27,7 @@ class FixedGradients(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """Per pose: gradient correlation, J^T J and J^T r of the residuals of both directions; 1 - similarity = |r|^2 / 4."""
+    """Per pose: gradient correlation, J^T J and J^T r of both directions' residuals; |r|^2 = 4 (1 - similarity)."""
 
     similarity: Float[Tensor, " n"]
     jtj: Float[Tensor, "n p p"]

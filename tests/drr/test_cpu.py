@@ -12,7 +12,7 @@ from regtorch.imaging import Volume
 
 from .scenes import pose_of, random_volume, relative, volume_of
 
-METHODS = ["joseph", "siddon"]
+METHODS = ["joseph", "siddon", "trilinear"]
 PARITY = 1e-5
 OBLIQUE = pose_of((12, -20, 1000), (5, -3, 300), (4, -7, 3))
 

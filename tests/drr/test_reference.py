@@ -40,13 +40,13 @@ def test_a_bounded_number_of_samples_at_once_and_the_same_result(method, monkeyp
     volume, detector = random_volume(9, 8, 7, dtype=torch.float64), Detector(6, 5, 2.0)
     poses = torch.stack([POSE, pose_of(), POSE])
     whole = render(volume, poses, detector, method=method, backend="torch")
-    integrate, rays_at_once = getattr(reference, f"_{method}"), []
+    integrate, rays_at_once = reference._RULES[method], []
 
-    def counted(data, source, direction, spacing_mm):
-        rays_at_once.append(len(direction))
-        return integrate(data, source, direction, spacing_mm)
+    def counted(data, source, pixel, spacing_mm):
+        rays_at_once.append(len(pixel))
+        return integrate(data, source, pixel, spacing_mm)
 
-    monkeypatch.setattr(reference, f"_{method}", counted)
+    monkeypatch.setitem(reference._RULES, method, counted)
     for samples, at_most in ((1, 1), (500, 10), (1 << 23, 30)):
         rays_at_once.clear()
         monkeypatch.setattr(reference, "_SAMPLES_AT_ONCE", samples)

@@ -60,9 +60,7 @@ def _fill(data, rays, ray_jacobian, spacing_mm, images, jacobian, method):
         joseph_images(*stacks, spacing, twelve, ray_jacobian, images, jacobian, get_num_threads())
     else:
         voxels = _voxels(data)
-        ray_images(
-            method == "siddon", voxels, spacing, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads()
-        )
+        ray_images(method == "siddon", voxels, spacing, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads())
 
 
 def _voxels(data: Tensor) -> np.ndarray:
@@ -78,7 +76,11 @@ def pull_back_rays(
     method: str,
 ) -> Float[Tensor, "b 12"]:
     """Derivative by the rays of the sum of ``image_gradients`` times images, in float64."""
-    twelve, spacing, weights = rays.detach().contiguous().numpy(), spacing_mm.numpy(), image_gradients.contiguous().numpy()
+    twelve, spacing, weights = (
+        rays.detach().contiguous().numpy(),
+        spacing_mm.numpy(),
+        image_gradients.contiguous().numpy(),
+    )
     rows, columns = weights.shape[-2:]
     if method == "joseph":
         tiles = -(-rows // TILE_ROWS) * -(-columns // TILE_COLUMNS)
@@ -100,7 +102,11 @@ def pull_back_data(
     method: str,
 ) -> Float[Tensor, "*c d h w"]:
     """Derivative by the voxels of the same sum: the adjoint of projection."""
-    twelve, spacing, weights = rays.detach().contiguous().numpy(), spacing_mm.numpy(), image_gradients.contiguous().numpy()
+    twelve, spacing, weights = (
+        rays.detach().contiguous().numpy(),
+        spacing_mm.numpy(),
+        image_gradients.contiguous().numpy(),
+    )
     adjoints = np.zeros((_SHARES, *_voxels(data).shape), np.float32)
     if method == "joseph":
         joseph_adjoint(spacing, twelve, weights, adjoints)

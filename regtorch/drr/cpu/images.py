@@ -19,9 +19,7 @@ from regtorch.drr.cpu.trilinear import trilinear
 def joseph_images(groups, tables, sizes, spacing, rays, ray_jacobian, images, jacobian, threads):
     """Into ``images`` [b, c, h, w] and, unless None, ``jacobian`` [b, c, p, h, w] by ``ray_jacobian`` [b, 12, p]."""
     for thread in prange(threads):
-        _joseph_share(
-            thread, threads, (groups, tables, sizes), spacing, rays, ray_jacobian, images, jacobian
-        )
+        _joseph_share(thread, threads, (groups, tables, sizes), spacing, rays, ray_jacobian, images, jacobian)
 
 
 @njit(nogil=True)
@@ -44,7 +42,7 @@ def _joseph_share(thread, threads, stacks, spacing, rays, ray_jacobian, images, 
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def joseph_pull_back(groups, tables, sizes, spacing, rays, weights, partial, threads):
-    """Into ``partial`` [b, tiles, 12]: sums over each tile of ``weights`` [b, c, h, w] times derivatives by the rays."""
+    """Into ``partial`` [b, tiles, 12]: each tile's ``weights`` [b, c, h, w] times derivatives by the rays, summed."""
     poses, channels, rows, columns = weights.shape
     strips = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
     tiles = strips * ((rows + TILE_ROWS - 1) // TILE_ROWS)
@@ -139,7 +137,7 @@ def ray_pull_back(exact, data, spacing, rays, weights, partial, threads):
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def ray_adjoint(exact, data, spacing, rays, weights, adjoints):
-    """Into ``adjoints`` [n, c, d, h, w], whose sum over n is what every voxel counts in all images times ``weights``."""
+    """Into ``adjoints`` [n, c, d, h, w], to be summed over n: what every voxel counts in images times ``weights``."""
     poses, channels, rows, columns = weights.shape
     shares = adjoints.shape[0]
     for share in prange(shares):

@@ -57,10 +57,10 @@ def slope_scratch(channels, jacobian):
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 @no_type_check
 def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
-    """``rows`` rows of a tile, or one pixel if 0, along one main axis: values into the scratch at TOTAL, derivatives into ``slopes`` unless it is None.
+    """``rows`` rows of a tile, or one pixel if 0, along one main axis.
 
-    Channel c has its value at TOTAL + c N, its derivatives by source and pixel at c PER_CHANNEL + SOURCE_A ... PIXEL_M,
-    along the axes ``in_plane(main)`` and ``main``.
+    Values go into the scratch at TOTAL + c N for channel c, derivatives by source and pixel, along ``in_plane(main)``
+    and ``main``, into ``slopes`` at c PER_CHANNEL + SOURCE_A ... PIXEL_M, unless that is None.
     """
     s, offset, groups, four = room
     all_groups, all_tables, sizes = stacks
@@ -250,9 +250,7 @@ def _finish(ia, ib, im, spacing, source, channels, count, s, slopes):
                 forward = one if along > zero else zero
                 slopes[at + SOURCE_A + q] = sum_a - over_a
                 slopes[at + SOURCE_B + q] = sum_b - over_b
-                slopes[at + SOURCE_M + q] = (
-                    turned - sum_a * da - sum_b * db + forward * low + (one - forward) * high
-                )
+                slopes[at + SOURCE_M + q] = turned - sum_a * da - sum_b * db + forward * low + (one - forward) * high
                 slopes[at + PIXEL_A + q] = over_a
                 slopes[at + PIXEL_B + q] = over_b
                 slopes[at + PIXEL_M + q] = forward * high + (one - forward) * low - turned
@@ -297,7 +295,7 @@ def _main_axis(ray, row, column):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _put(main, ray_jacobian, row0, row1, column0, column1, s, slopes, image, jacobian, top, left):
-    """From the scratch into images; d/dp = gS dS/dp + gP (dF/dp + column dC/dp + row dR/dp), P = F + column C + row R."""
+    """From the scratch into images; with P = F + column C + row R, d/dp = gS dS/dp + gP dP/dp."""
     ia, ib = in_plane(main)
     count = np.uint64((row1 - row0) * TILE_COLUMNS)
     for c in range(image.shape[0]):

@@ -1,7 +1,6 @@
 """The volume as Joseph's method reads it: slices across a main axis, four neighbours in one read, empty parts known."""
 
 import numpy as np
-import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 

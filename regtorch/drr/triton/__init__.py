@@ -99,7 +99,7 @@ def pull_back_data(
     most = 4 * spacing_mm.norm() * image_gradients.abs().sum(dtype=torch.float64)
     scale = torch.where(most == 0, 1, torch.exp2(62 - most.log2().ceil()))
     total = torch.zeros_like(data, dtype=torch.int64, memory_format=torch.contiguous_format)
-    scaled = (image_gradients * scale).to(torch.float32)
+    scaled = (image_gradients.double() * scale).to(torch.float32)
     _launch("pull_back_data", (total, rays, spacing_mm, scaled), data, image_gradients, method)
     return (total / scale).to(data.dtype)
 

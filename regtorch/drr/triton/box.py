@@ -32,5 +32,5 @@ def _cross_slab(source, direction, lower, upper):
     flat = direction == 0
     step = tl.where(flat, 1.0, direction)
     one, other = (lower - source) / step, (upper - source) / step
-    hit = ~flat | ((one <= 0) & (other >= 0))
+    hit = (direction != 0) | ((one <= 0) & (other >= 0))
     return tl.where(flat, 0.0, tl.minimum(one, other)), tl.where(flat, 1.0, tl.maximum(one, other)), hit

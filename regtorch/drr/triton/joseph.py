@@ -19,9 +19,10 @@ def joseph(
     beside its own. Where ``MODE`` is "scatter", ``upstream`` is added to ``volume`` where "value" reads it.
     """
     di, dj, dk = pi - si, pj - sj, pk - sk
-    main_k = tl.abs(dk) > tl.maximum(tl.abs(di), tl.abs(dj))
-    main_j = (tl.abs(dj) > tl.abs(di)) & ~main_k
-    main_i = ~(main_j | main_k)
+    other = tl.maximum(tl.abs(di), tl.abs(dj))
+    main_k = tl.abs(dk) > other
+    main_j = (tl.abs(dj) > tl.abs(di)) & (tl.abs(dk) <= other)
+    main_i = (tl.abs(dj) <= tl.abs(di)) & (tl.abs(dk) <= other)
     along = tl.where(main_k, dk, tl.where(main_j, dj, di))
     source_m = tl.where(main_k, sk, tl.where(main_j, sj, si))
     source_a = tl.where(main_i, sj, si)

@@ -8,8 +8,8 @@ import triton.language as tl
 
 @triton.jit(do_not_specialize=["rows", "columns"])
 @no_type_check
-def gradient_sums(images, fixed, weight, parts, rows, columns, BLOCK: tl.constexpr):
-    """To ``parts``, seven per block: w m, w m m and m f of the x-gradient m, those of the y-gradient, and squares."""
+def gradient_gram(images, fixed, root, parts, rows, columns, BLOCK: tl.constexpr):
+    """To ``parts``, seven per block: m f, m r and m m of the x-gradient m times r, those of y, and the squares."""
     pixels = rows * columns
     blocks = (pixels + BLOCK - 1) // BLOCK
     program = tl.program_id(0)
@@ -24,15 +24,15 @@ def gradient_sums(images, fixed, weight, parts, rows, columns, BLOCK: tl.constex
     n, s = tl.load(image + above + column, there, 0.0), tl.load(image + below + column, there, 0.0)
     w, e = tl.load(image + here + left, there, 0.0), tl.load(image + here + right, there, 0.0)
     value = tl.load(image + pixel, there, 0.0)
-    dx = ((ne - nw) + (se - sw) + 2.0 * (e - w)) * 0.125
-    dy = ((sw - nw) + (se - ne) + 2.0 * (s - n)) * 0.125
-    weights = tl.load(weight + pixel, there, 0.0)
+    roots = tl.load(root + pixel, there, 0.0)
+    dx = ((ne - nw) + (se - sw) + 2.0 * (e - w)) * 0.125 * roots
+    dy = ((sw - nw) + (se - ne) + 2.0 * (s - n)) * 0.125 * roots
     fixed_x, fixed_y = tl.load(fixed + pixel, there, 0.0), tl.load(fixed + pixels + pixel, there, 0.0)
     part = parts + program.to(tl.int64) * 7
-    tl.store(part, tl.sum(weights * dx, 0).to(tl.float64))
-    tl.store(part + 1, tl.sum(weights * dx * dx, 0).to(tl.float64))
-    tl.store(part + 2, tl.sum(fixed_x * dx, 0).to(tl.float64))
-    tl.store(part + 3, tl.sum(weights * dy, 0).to(tl.float64))
-    tl.store(part + 4, tl.sum(weights * dy * dy, 0).to(tl.float64))
-    tl.store(part + 5, tl.sum(fixed_y * dy, 0).to(tl.float64))
+    tl.store(part, tl.sum(dx * fixed_x, 0).to(tl.float64))
+    tl.store(part + 1, tl.sum(dx * roots, 0).to(tl.float64))
+    tl.store(part + 2, tl.sum(dx * dx, 0).to(tl.float64))
+    tl.store(part + 3, tl.sum(dy * fixed_y, 0).to(tl.float64))
+    tl.store(part + 4, tl.sum(dy * roots, 0).to(tl.float64))
+    tl.store(part + 5, tl.sum(dy * dy, 0).to(tl.float64))
     tl.store(part + 6, tl.sum(value * value, 0).to(tl.float64))

@@ -1,0 +1,33 @@
+"""Compiles every Triton kernel for a GPU that need not be there; a program of its own, since tests interpret them."""
+
+import triton
+from triton.backends.compiler import GPUTarget
+from triton.compiler import ASTSource
+
+from regtorch.drr.triton import kernels as drr
+from regtorch.similarity.triton import kernels as similarity
+
+TARGET = GPUTarget("cuda", 80, 32)
+TYPES = {
+    "data": "*fp32", "total": "*i64", "rays": "*fp64", "ray_jacobian": "*fp64", "spacing": "*fp64", "sums": "*fp64",
+    "images": "*fp32", "jacobian": "*fp32", "image_gradients": "*fp32",
+    "fixed": "*fp32", "root": "*fp32", "parts": "*fp64",
+}  # fmt: skip
+TILE = {"TILE_ROWS": 8, "TILE_COLUMNS": 16}
+
+
+def compile_kernel(kernel: triton.JITFunction, **constants: object) -> None:
+    signature = {n: "constexpr" if n in constants else TYPES.get(n, "i32") for n in kernel.arg_names}
+    places = {(kernel.arg_names.index(name),): value for name, value in constants.items()}
+    done = triton.compile(ASTSource(kernel, signature, places), target=TARGET, options={"enable_fp_fusion": True})
+    assert done.asm["cubin"]
+    print(kernel.__name__, *constants.values())
+
+
+if __name__ == "__main__":
+    compile_kernel(similarity.gradient_gram, BLOCK=1024)
+    for method in ("joseph", "siddon", "trilinear"):
+        compile_kernel(drr.pull_back_rays, METHOD=method, CHANNELS=1, PADDED=1, **TILE)
+        compile_kernel(drr.pull_back_data, METHOD=method, CHANNELS=1, PADDED=1, **TILE)
+    compile_kernel(drr.project, METHOD="joseph", CHANNELS=3, PADDED=4, **TILE)
+    compile_kernel(drr.project_with_jacobian, METHOD="joseph", CHANNELS=3, PADDED=4, **TILE)
