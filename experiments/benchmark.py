@@ -13,7 +13,7 @@ Writes ``benchmark.csv`` after each case, where rows of a case replace those tha
 - samples_per_second: rays x slices of the whole volume, skipped or not, per second
 - relative_difference: of images (or gradients) from regtorch's by the same method, by norm, before anything was timed
 - seconds, seconds_spread: of one call with ``poses`` poses; slowest less fastest turn over the median
-- megabytes: by which memory grew at most
+- megabytes (10^6 bytes): by which memory grew at most, what is returned (one number per pose) with it
 """
 
 from pathlib import Path

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import matplotlib as mpl
+import matplotlib.ticker
 import pandas as pd
 import seaborn as sns
 
@@ -95,6 +96,8 @@ def cost_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
         ticks = sorted(some[column].dropna().unique())
         panel.set(xscale="log", yscale="log", xlabel=label, ylabel="ms per image")
         panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        panel.yaxis.set_major_locator(mpl.ticker.LogLocator(subs=(1, 2, 5)))
+        panel.yaxis.set_major_formatter("{x:g}")
         panel.minorticks_off()
     handles = {h.get_label(): h for panel in panels.flat for h in panel.get_lines()}
     if handles:

@@ -57,15 +57,16 @@ def use_threads(threads: int) -> None:
 def alternate(runs: Sequence[Run], repeats: int, least_s: float, most_s: float) -> None:
     """A B C A B C ...: ``repeats`` turns of each. A turn is made to last from ``least_s`` to ``most_s`` seconds.
 
-    The first calls, with one pose, are the warm-up (compilers, caches) and tell how many poses a turn has time for; the
-    next, with these, how many calls it takes to last long enough.
+    The first call, with one pose, is the warm-up (compilers, caches); the second tells how many poses a turn has time
+    for, and the third, with these, how many calls it takes to last long enough.
     """
     for run in runs:
-        run.poses = 1
+        run.poses, run.calls, run.seconds = 1, 1, []
         run.once()
-        run.poses = max(1, min(run.most, int(most_s / max(run.once(), 1e-9))))
-        run.calls = max(1, round(least_s / max(run.once(), 1e-9)))
-        run.seconds = []
+        one = run.once()
+        run.poses = max(1, min(run.most, int(most_s / max(one, 1e-9))))
+        if one < most_s:
+            run.calls = max(1, round(least_s / max(run.once(), 1e-9)))
     for _ in range(repeats):
         for run in runs:
             run.seconds.append(sum(run.once() for _ in range(run.calls)))

@@ -36,4 +36,6 @@ def ray_jacobian(
     """Derivatives of ``cone_beam_rays`` by the nine parameters: voxels per mm, voxels per rad."""
     by_pose = torch.func.jacfwd(lambda p: cone_beam_rays(p, detector, view, voxel_from_ct))
     flat = parameters.reshape(-1, 9)
+    if not len(flat):
+        return parameters.new_zeros(*parameters.shape[:-1], 12, 9)
     return torch.func.vmap(by_pose)(flat).reshape(*parameters.shape[:-1], 12, 9)

@@ -63,7 +63,7 @@ def normal_equations(
     found = _scored(
         volume, parameters, detector, view, fixed, weight, list(range(9)) if free is None else free, backend
     )
-    return NormalEquations(*(part.reshape(*parameters.shape[:-1], *part.shape[1:]) for part in found))
+    return NormalEquations(*(part.reshape((*parameters.shape[:-1], *part.shape[1:])) for part in found))
 
 
 def _scored(

