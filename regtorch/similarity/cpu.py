@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numba import get_num_threads, njit, prange
 from torch import Tensor
 
-_ROWS = 64
+_ROWS = 130
 _GRADIENTS = 8192
 
 

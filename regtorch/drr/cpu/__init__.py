@@ -31,7 +31,7 @@ def project(
     method: str,
 ) -> Float[Tensor, "b classes rows columns"]:
     """Line integrals for twelve numbers per pose."""
-    images = torch.empty(len(rays), data.shape[:-3].numel(), rows, columns)
+    images = _empty(len(rays), data.shape[:-3].numel(), rows, columns)
     _fill(data, rays, None, spacing_mm, images.numpy(), None, method)
     return images
 
@@ -46,8 +46,8 @@ def project_with_jacobian(
     method: str,
 ) -> tuple[Float[Tensor, "b classes rows columns"], Float[Tensor, "b classes p rows columns"]]:
     """Line integrals, and their derivatives by p parameters of which ``ray_jacobian`` is d rays / d parameters."""
-    images = torch.empty(len(rays), data.shape[:-3].numel(), rows, columns)
-    jacobian = torch.empty(*images.shape[:2], ray_jacobian.shape[2], rows, columns)
+    images = _empty(len(rays), data.shape[:-3].numel(), rows, columns)
+    jacobian = _empty(*images.shape[:2], ray_jacobian.shape[2], rows, columns)
     by_pose = ray_jacobian.contiguous().numpy()
     _fill(data, rays, by_pose, spacing_mm, images.numpy(), jacobian.numpy(), method)
     return images, jacobian
@@ -61,6 +61,11 @@ def _fill(data, rays, ray_jacobian, spacing_mm, images, jacobian, method):
     else:
         voxels = _voxels(data)
         ray_images(method == "siddon", voxels, spacing, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads())
+
+
+def _empty(*shape: int) -> Tensor:
+    """By numpy, which asks for large pages where torch does not: touching small ones can take longer than rendering."""
+    return torch.from_numpy(np.empty(shape, np.float32))
 
 
 def _voxels(data: Tensor) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
-from regtorch.drr.cpu.joseph import PER_CHANNEL, TILE_COLUMNS, TILE_ROWS, paint, scratch, slope_scratch
+from regtorch.drr.cpu.joseph import TILE_COLUMNS, TILE_ROWS, paint, scratch, slope_scratch
 from regtorch.drr.cpu.siddon import siddon
 from regtorch.drr.cpu.trilinear import trilinear
 
@@ -47,7 +47,7 @@ def joseph_pull_back(groups, tables, sizes, spacing, rays, weights, partial, thr
     strips = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
     tiles = strips * ((rows + TILE_ROWS - 1) // TILE_ROWS)
     for thread in prange(threads):
-        room, slopes = scratch(channels), np.empty(channels * PER_CHANNEL, np.float32)
+        room, slopes = scratch(channels), slope_scratch(channels, weights)
         image = np.empty((channels, TILE_ROWS, TILE_COLUMNS), np.float32)
         jacobian = np.empty((channels, 12, TILE_ROWS, TILE_COLUMNS), np.float32)
         itself = np.eye(12)

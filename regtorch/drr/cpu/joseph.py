@@ -16,7 +16,8 @@ import math
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 
 from regtorch.drr.cpu.slices import BLOCK, BORDER
 
@@ -46,13 +47,19 @@ def scratch(channels):
     return np.empty(TOTAL + channels * N, np.float32), np.empty(N, np.uint32), groups, groups.view(np.float32)
 
 
-@njit(nogil=True)
-@no_type_check
 def slope_scratch(channels, jacobian):
-    """Room for derivatives, or None where there is no jacobian to fill."""
-    if jacobian is None:
-        return None
-    return np.empty(channels * PER_CHANNEL, np.float32)
+    """Room for derivatives and for rays in float64, or None where ``jacobian`` is None.
+
+    A bilinear value has a kink at every voxel: in float32 a ray near one may take its derivative from the wrong side.
+    """
+
+
+@overload(slope_scratch)  # of the types, so that no kernel asks again and again
+@no_type_check
+def _slope_scratch(channels, jacobian):
+    if isinstance(jacobian, types.NoneType):
+        return lambda channels, jacobian: None
+    return lambda channels, jacobian: (np.empty(channels * PER_CHANNEL, np.float32), np.empty(4 * N))
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
@@ -73,12 +80,15 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
     pixels = max(rows * TILE_COLUMNS, 1)
     count = np.uint64(pixels)
     _rays(ray, ia, ib, main, row0, column0, count, s)
+    if slopes is not None:
+        sums, exact = slopes
+        _directions(ray, ia, ib, main, row0, column0, count, exact)
     channels = stack.shape[0]
     for c in range(channels):
         for q in range(count):
             s[TOTAL + c * N + q] = zero
         if slopes is not None:
-            slopes[c * PER_CHANNEL : (c + 1) * PER_CHANNEL] = zero
+            sums[c * PER_CHANNEL : (c + 1) * PER_CHANNEL] = zero
     q1, q2, q3 = min(TILE_COLUMNS, pixels) - 1, max(pixels - TILE_COLUMNS, 0), pixels - 1  # the corners, with 0
     source, middle = np.float32(ray[main]), np.float32(stack.shape[1] // 2)
     near, far = min(s[END], s[END + q1]), max(s[END], s[END + q1])
@@ -105,7 +115,10 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
                 continue
             if not located:
                 located = True
-                _locate(k, count, stride, a_end, b_end, s, offset)
+                if slopes is None:
+                    _locate(k, count, stride, a_end, b_end, s, s, offset)
+                else:
+                    _locate(float(slice_index), count, stride, a_end, b_end, exact, s, offset)
                 if not whole:
                     _shares(k, source, count, s)
             values = stack[c, slice_index]
@@ -121,12 +134,15 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
             else:
                 if whole:
                     for q in range(count):
-                        _add(s, slopes, four, c, q, one, k - middle)
+                        _add(s, sums, four, c, q, one, k - middle)
                 else:
                     for q in range(count):
-                        _add(s, slopes, four, c, q, s[SHARE + q], k - middle)
-                    _add_ends(s, slopes, four, c, k, source, count)
-    _finish(ia, ib, main, spacing, source, middle, channels, count, s, slopes)
+                        _add(s, sums, four, c, q, s[SHARE + q], k - middle)
+                    _add_ends(s, sums, four, c, k, source, count)
+    if slopes is None:
+        _lengthen(ia, ib, main, spacing, channels, count, s)
+    else:
+        _finish(ia, ib, main, spacing, source, middle, channels, count, s, sums)
 
 
 @njit(nogil=True, inline="always")
@@ -140,6 +156,15 @@ def in_plane(main):
 @no_type_check
 def _rays(ray, ia, ib, im, row0, column0, count, s):
     """Where rays are on slice 0, from its border, and per slice, and on which slice their pixel lies."""
+    _directions(ray, ia, ib, im, row0, column0, count, s)
+    end = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im]
+    for q in range(count):
+        s[END + q] = np.float32(end + _TILE_COLUMN[q] * ray[6 + im] + _TILE_ROW[q] * ray[9 + im])
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@no_type_check
+def _directions(ray, ia, ib, im, row0, column0, count, rays):
     source_a, source_b, source_m = ray[ia], ray[ib], ray[im]
     along = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im] - source_m
     across_a = ray[3 + ia] + column0 * ray[6 + ia] + row0 * ray[9 + ia] - source_a
@@ -149,11 +174,8 @@ def _rays(ray, ia, ib, im, row0, column0, count, s):
         distance = along + column * ray[6 + im] + row * ray[9 + im]
         da = (across_a + column * ray[6 + ia] + row * ray[9 + ia]) / distance
         db = (across_b + column * ray[6 + ib] + row * ray[9 + ib]) / distance
-        s[A0 + q] = np.float32(source_a - source_m * da + BORDER)
-        s[DA + q] = np.float32(da)
-        s[B0 + q] = np.float32(source_b - source_m * db + BORDER)
-        s[DB + q] = np.float32(db)
-        s[END + q] = np.float32(source_m + distance)
+        rays[A0 + q], rays[DA + q] = source_a - source_m * da + BORDER, da
+        rays[B0 + q], rays[DB + q] = source_b - source_m * db + BORDER, db
 
 
 @njit(nogil=True, inline="always")
@@ -168,14 +190,15 @@ def _is_empty(table, a_low, a_high, b_low, b_high, a_end, b_end):
 
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
-def _locate(k, count, stride, a_end, b_end, s, offset):
+def _locate(k, count, stride, a_end, b_end, rays, s, offset):
+    """Cells and places in them on slice k, from rays in float32 or float64."""
     zero = np.float32(0)
     for q in range(count):
-        a = min(max(s[A0 + q] + k * s[DA + q], zero), a_end)
-        b = min(max(s[B0 + q] + k * s[DB + q], zero), b_end)
-        column, row = np.int32(a), np.int32(b)
-        s[FA + q], s[FB + q] = a - np.float32(column), b - np.float32(row)
-        offset[q] = np.uint32(row) * stride + np.uint32(column)
+        a = min(max(rays[A0 + q] + k * rays[DA + q], zero), a_end)
+        b = min(max(rays[B0 + q] + k * rays[DB + q], zero), b_end)
+        column, row = np.floor(a), np.floor(b)
+        s[FA + q], s[FB + q] = np.float32(a - column), np.float32(b - row)
+        offset[q] = np.uint32(np.int32(row)) * stride + np.uint32(np.int32(column))
 
 
 @njit(nogil=True)
@@ -228,35 +251,45 @@ def _add_ends(s, slopes, four, c, k, source, count):
             slopes[AT_LOW + c * PER_CHANNEL + q] += value
 
 
+@njit(nogil=True, fastmath={"contract"})
+@no_type_check
+def _lengthen(ia, ib, im, spacing, channels, count, s):
+    """Sums into integrals."""
+    size_a, size_b, size_m = np.float32(spacing[ia] ** 2), np.float32(spacing[ib] ** 2), np.float32(spacing[im] ** 2)
+    for c in range(channels):
+        for q in range(count):
+            da, db = s[DA + q], s[DB + q]
+            s[TOTAL + c * N + q] *= math.sqrt(da * da * size_a + db * db * size_b + size_m)
+
+
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 @no_type_check
 def _finish(ia, ib, im, spacing, source, middle, channels, count, s, slopes):
     """Sums into integrals and derivatives."""
     one, zero = np.float32(1), np.float32(0)
-    size_a, size_b, size_m = np.float32(spacing[ia] ** 2), np.float32(spacing[ib] ** 2), np.float32(spacing[im] ** 2)
+    size_a, size_b = np.float32(spacing[ia] ** 2), np.float32(spacing[ib] ** 2)
     for c in range(channels):
         at = c * PER_CHANNEL
         for q in range(count):
             da, db = s[DA + q], s[DB + q]
-            length = math.sqrt(da * da * size_a + db * db * size_b + size_m)
+            length = math.sqrt(da * da * size_a + db * db * size_b + np.float32(spacing[im] ** 2))
             total = s[TOTAL + c * N + q]
+            along, lever = s[END + q] - source, middle - source
+            moment_a = slopes[at + MOMENT_A + q] + lever * slopes[at + TOTAL_A + q]
+            moment_b = slopes[at + MOMENT_B + q] + lever * slopes[at + TOTAL_B + q]
+            over_a = (length * moment_a + total * da * size_a / length) / along
+            over_b = (length * moment_b + total * db * size_b / length) / along
+            sum_a, sum_b = length * slopes[at + TOTAL_A + q], length * slopes[at + TOTAL_B + q]
+            high, low = length * slopes[at + AT_HIGH + q], -length * slopes[at + AT_LOW + q]
+            turned = over_a * da + over_b * db
+            forward = one if along > zero else zero
+            slopes[at + SOURCE_A + q] = sum_a - over_a
+            slopes[at + SOURCE_B + q] = sum_b - over_b
+            slopes[at + SOURCE_M + q] = turned - sum_a * da - sum_b * db + forward * low + (one - forward) * high
+            slopes[at + PIXEL_A + q] = over_a
+            slopes[at + PIXEL_B + q] = over_b
+            slopes[at + PIXEL_M + q] = forward * high + (one - forward) * low - turned
             s[TOTAL + c * N + q] = length * total
-            if slopes is not None:
-                along, lever = s[END + q] - source, middle - source
-                moment_a = slopes[at + MOMENT_A + q] + lever * slopes[at + TOTAL_A + q]
-                moment_b = slopes[at + MOMENT_B + q] + lever * slopes[at + TOTAL_B + q]
-                over_a = (length * moment_a + total * da * size_a / length) / along
-                over_b = (length * moment_b + total * db * size_b / length) / along
-                sum_a, sum_b = length * slopes[at + TOTAL_A + q], length * slopes[at + TOTAL_B + q]
-                high, low = length * slopes[at + AT_HIGH + q], -length * slopes[at + AT_LOW + q]
-                turned = over_a * da + over_b * db
-                forward = one if along > zero else zero
-                slopes[at + SOURCE_A + q] = sum_a - over_a
-                slopes[at + SOURCE_B + q] = sum_b - over_b
-                slopes[at + SOURCE_M + q] = turned - sum_a * da - sum_b * db + forward * low + (one - forward) * high
-                slopes[at + PIXEL_A + q] = over_a
-                slopes[at + PIXEL_B + q] = over_b
-                slopes[at + PIXEL_M + q] = forward * high + (one - forward) * low - turned
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
@@ -304,7 +337,7 @@ def _put(main, ray_jacobian, row0, row1, column0, column1, s, slopes, image, jac
     for c in range(image.shape[0]):
         _copy(s, TOTAL + c * N, row0 - top, row1 - top, column0 - left, column1 - left, image[c])
         if slopes is not None:
-            at = c * PER_CHANNEL
+            at, sums = c * PER_CHANNEL, slopes[0]
             for p in range(jacobian.shape[1]):
                 by_p = ray_jacobian[:, p]
                 s_a, s_b, s_m = np.float32(by_p[ia]), np.float32(by_p[ib]), np.float32(by_p[main])
@@ -314,12 +347,12 @@ def _put(main, ray_jacobian, row0, row1, column0, column1, s, slopes, image, jac
                 for q in range(count):
                     x, y = _X[q], _Y[q]
                     s[DERIVATIVE + q] = (
-                        slopes[at + SOURCE_A + q] * s_a
-                        + slopes[at + SOURCE_B + q] * s_b
-                        + slopes[at + SOURCE_M + q] * s_m
-                        + slopes[at + PIXEL_A + q] * (p_a + x * across_a + y * down_a)
-                        + slopes[at + PIXEL_B + q] * (p_b + x * across_b + y * down_b)
-                        + slopes[at + PIXEL_M + q] * (p_m + x * across_m + y * down_m)
+                        sums[at + SOURCE_A + q] * s_a
+                        + sums[at + SOURCE_B + q] * s_b
+                        + sums[at + SOURCE_M + q] * s_m
+                        + sums[at + PIXEL_A + q] * (p_a + x * across_a + y * down_a)
+                        + sums[at + PIXEL_B + q] * (p_b + x * across_b + y * down_b)
+                        + sums[at + PIXEL_M + q] * (p_m + x * across_m + y * down_m)
                     )
                 _copy(s, DERIVATIVE, row0 - top, row1 - top, column0 - left, column1 - left, jacobian[c, p])
 
@@ -328,9 +361,13 @@ def _put(main, ray_jacobian, row0, row1, column0, column1, s, slopes, image, jac
 @no_type_check
 def _copy(s, first, row0, row1, column0, column1, image):
     for row in range(row0, row1):
-        at = first + (row - row0) * TILE_COLUMNS
-        for column in range(column0, column1):
-            image[row, column] = s[at + column - column0]
+        line, values = image[row, column0:], s[first + (row - row0) * TILE_COLUMNS :]
+        if column1 - column0 == TILE_COLUMNS:  # a count known to the compiler makes this one instruction
+            for x in range(TILE_COLUMNS):
+                line[x] = values[x]
+        else:
+            for x in range(column1 - column0):
+                line[x] = values[x]
 
 
 @njit(nogil=True, inline="always")
