@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -9,6 +10,9 @@ from torch import Tensor
 
 from regtorch.drr import render
 from regtorch.imaging import Radiograph, Volume, coarsen, level
+from regtorch.scoring import gradient_correlations
+from regtorch.similarity import gradient_correlation
+from regtorch.similarity.gram import FixedGradients, fixed_gradients
 
 Similarity = Callable[..., Float[Tensor, " b"]]
 
@@ -43,9 +47,15 @@ class Level:
         fixed = replace(fixed, image=fixed.image.to(device), weight=fixed.weight.to(device))
         return cls(volume, fixed, view, similarity)
 
+    @cached_property
+    def _fixed_gradients(self) -> FixedGradients:
+        return fixed_gradients(self.fixed.image, self.fixed.weight)
+
     def similarities(self, parameters: Float[Tensor, "m 9"]) -> Float[Tensor, " m"]:
         """One number per pose, in bounded memory; only these and the parameters travel to and from the device."""
         detector = self.fixed.detector
+        if self.similarity is gradient_correlation:
+            return gradient_correlations(self.volume, parameters, detector, self.view, self._fixed_gradients).cpu()
         at_once = max(1, _PIXELS_AT_ONCE // (detector.rows * detector.columns))
         found = []
         with torch.no_grad():

@@ -12,6 +12,7 @@ from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, ray_jacobian
 from regtorch.imaging.volume import Volume
 from regtorch.scoring.cpu import joseph_gram
+from regtorch.similarity import triton
 from regtorch.similarity.gram import (
     FixedGradients,
     NormalEquations,
@@ -101,6 +102,8 @@ def _gram(
     place = volume.spacing_mm, *fixed.root.shape, "joseph"
     if by_free is None:
         images = chosen.project(volume.data, rays, *place)
+        if triton.can_sum(images):
+            return triton.gradient_gram(images[:, 0], *fixed)
     else:
         images = torch.cat(
             [part.flatten(1, -3) for part in chosen.project_with_jacobian(volume.data, rays, by_free, *place)], 1

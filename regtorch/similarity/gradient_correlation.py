@@ -1,11 +1,13 @@
 """Gradient correlation, eqs. (2)-(3) of the paper (Penney et al. 1998): the method's similarity."""
 
+from types import ModuleType
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.similarity import cpu, triton
 from regtorch.similarity.batches import over_images
-from regtorch.similarity.cpu import can_sum, gradient_gram
 from regtorch.similarity.gradients import gradient_weight, image_gradients
 from regtorch.similarity.gram import equations_from_gram, fixed_gradients
 from regtorch.similarity.normalized_cross_correlation import centred_, peak
@@ -19,13 +21,14 @@ def gradient_correlation(
     Unchanged by gain and offset of either image; a direction in which one of them has no gradient counts as 0.
     ``weight`` (not negative) makes all sums over the image weighted ones, by ``gradient_weight``: a pixel of weight
     zero has no influence. All tensors share dtype and device. All moving images are one matrix, the fixed image a
-    vector, and each direction one matrix product; on a CPU, where no derivative is wanted, one pass over each image
-    gives the same sums. Differentiable. Raises ``RegtorchError`` for different shapes.
+    vector, and each direction one matrix product; where no derivative is wanted, one pass of a fused kernel over each
+    image gives the same sums. Differentiable. Raises ``RegtorchError`` for different shapes.
     """
 
     def values(images: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:
-        if can_sum(images):
-            return _from_sums(images, fixed, weight)
+        for fused in (cpu, triton):
+            if fused.can_sum(images):
+                return _from_sums(fused, images, fixed, weight)
         pairs = _centred_gradients(images, fixed, weight)
         return sum((m @ f) * scale for m, f, scale in pairs) / 2
 
@@ -59,8 +62,11 @@ def _centred_gradients(
 
 
 def _from_sums(
-    images: Float[Tensor, "n h w"], fixed: Float[Tensor, "h w"], weight: Float[Tensor, "h w"] | None
+    fused: ModuleType,
+    images: Float[Tensor, "n h w"],
+    fixed: Float[Tensor, "h w"],
+    weight: Float[Tensor, "h w"] | None,
 ) -> Float[Tensor, " n"]:
     prepared = fixed_gradients(fixed, weight)
-    gram, magnitude = gradient_gram(images, *prepared)
+    gram, magnitude = fused.gradient_gram(images, *prepared)
     return equations_from_gram(gram, magnitude, prepared, torch.finfo(images.dtype).eps).similarity.to(images)
