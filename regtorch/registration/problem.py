@@ -9,7 +9,7 @@ from torch import Tensor
 
 from regtorch.evaluation import projection_distances
 from regtorch.geometry import NAMES, pixel_from_patient
-from regtorch.imaging import Radiograph, Volume
+from regtorch.imaging import Radiograph, Volume, level
 from regtorch.registration.objective import Level, Similarity
 
 Progress = Callable[[float, str], None]
@@ -17,13 +17,14 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Problem:
-    """``attenuating`` is the CT as it is rendered, cropped; ``points`` (LPS mm) lie on the anatomy in the image.
+    """``attenuating`` is the CT as it is rendered, cropped, ``whole`` all its tissue; ``points`` (LPS mm) lie on the anatomy in the image.
 
     Parameters in ``free`` may move within ``half_range`` of ``initial`` (mm, rad); the others stay. ``progress`` is
     told the share that is done and what goes on.
     """
 
     attenuating: Volume
+    whole: Volume
     radiograph: Radiograph
     view: str
     similarity: Similarity
@@ -63,11 +64,15 @@ class Problem:
         moved = (self.initial + torch.diag(step))[self.free]
         return self.shift_mm(moved, self.initial) / step[self.free]
 
-    def level(self, longest: int, voxel_per_pixel: float) -> Level:
-        """The pair at one level of the pyramid."""
+    def fixed(self, longest: int) -> Radiograph:
+        """The radiograph at one level of the pyramid."""
+        return level(self.radiograph, longest)
+
+    def level(self, longest: int, voxel_per_pixel: float, volume: Volume | None = None) -> Level:
+        """The pair at one level of the pyramid; of the CT what is rendered, or another ``volume`` of it."""
         magnification = float(self.initial[2] / (self.initial[2] - self.initial[5]))
         return Level.of(
-            self.attenuating, self.radiograph, self.view, self.similarity, longest, magnification, voxel_per_pixel
+            self.attenuating if volume is None else volume, self.radiograph, self.view, self.similarity, longest, magnification, voxel_per_pixel
         )
 
 

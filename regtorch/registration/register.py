@@ -80,6 +80,7 @@ def register(
         )
     problem = Problem(
         attenuating=attenuating,
+        whole=crop_to_anatomy(attenuation(ct, threshold_hu=None)),
         radiograph=radiograph,
         view=view,
         similarity=similarity,

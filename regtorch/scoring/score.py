@@ -6,13 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from regtorch.drr import cpu
+from regtorch.drr import cpu, triton
 from regtorch.drr.render import Backend, chosen_backend, rays_of
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, ray_jacobian
 from regtorch.imaging.volume import Volume
 from regtorch.scoring.cpu import joseph_gram
-from regtorch.similarity import triton
 from regtorch.similarity.gram import (
     FixedGradients,
     NormalEquations,
@@ -20,6 +19,7 @@ from regtorch.similarity.gram import (
     fixed_gradients,
     gradient_gram,
 )
+from regtorch.similarity.triton import gradient_gram as gradient_gram_triton
 
 _PIXELS_AT_ONCE = {"cpu": 1 << 22}
 _PIXELS_ELSEWHERE = 1 << 26
@@ -102,12 +102,11 @@ def _gram(
     place = volume.spacing_mm, *fixed.root.shape, "joseph"
     if by_free is None:
         images = chosen.project(volume.data, rays, *place)
-        if triton.can_sum(images):
-            return triton.gradient_gram(images[:, 0], *fixed)
+        if chosen is triton:
+            return gradient_gram_triton(images[:, 0], *fixed)
     else:
-        images = torch.cat(
-            [part.flatten(1, -3) for part in chosen.project_with_jacobian(volume.data, rays, by_free, *place)], 1
-        )
+        both = chosen.project_with_jacobian(volume.data, rays, by_free, *place)
+        images = torch.cat([part.flatten(1, -3) for part in both], dim=1)
     return gradient_gram(images, fixed)
 
 

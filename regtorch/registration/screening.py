@@ -1,0 +1,122 @@
+"""Poses drawn over the whole range, each at all in-plane shifts at once: where a search should begin."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.quasirandom import SobolEngine
+
+from regtorch.drr import render
+from regtorch.geometry import Detector
+from regtorch.imaging import Volume
+from regtorch.registration.problem import Problem
+from regtorch.similarity.gradients import gradient_weight, image_gradients
+
+_SHIFTED = (3, 4)
+_LEAST_ENERGY = 0.1
+_POSES_AT_ONCE = 64
+
+
+class Candidates(NamedTuple):
+    """Poses and their gradient correlation by this estimate, best first."""
+
+    parameters: Float[Tensor, "n 9"]
+    similarity: Float[Tensor, " n"]
+
+
+def screen(problem: Problem, volume: Volume, pixels: int, poses: int, peaks: int = 2) -> Candidates:
+    """For each of ``poses`` draws, the ``peaks`` best in-plane shifts, by correlation of gradients.
+
+    Moving the patient in the plane of the detector moves its image and hardly changes it. So one DRR, wide enough for
+    every shift in the range, tells the correlation at all shifts by a Fourier transform: of the fixed image's gradients
+    with the DRR's, over the root of the DRR's energy where the fixed image lies (masked normalised cross-correlation).
+    Shifts that are frozen are not searched; the draws are a scrambled Sobol sequence over the other free parameters.
+    """
+    fixed = problem.fixed(pixels)
+    detector = fixed.detector
+    draws = _draws(problem, poses)
+    margins = _margins(problem, detector)
+    wide = Detector(
+        detector.rows + 2 * margins[1], detector.columns + 2 * margins[0], detector.pixel_mm, detector.centre_mm
+    )
+    size = [_fast_size(n) for n in (wide.rows, wide.columns)]
+    weight = gradient_weight(fixed.weight)
+    fixed_terms = []
+    for gradient in image_gradients(fixed.image[None]):
+        f = (gradient[0] - (gradient[0] * weight).sum() / weight.sum().clamp_min(1e-12)) * weight
+        norm = (f.square() / weight.clamp_min(1e-12)).sum().sqrt().clamp_min(1e-12)
+        fixed_terms.append(torch.fft.rfft2(f / norm, s=size).conj())
+    weight_term = torch.fft.rfft2(weight, s=size).conj()
+    found, values = [], []
+    for some in draws.split(_POSES_AT_ONCE):
+        moving = image_gradients(render(volume, some, wide, problem.view))
+        score = 0
+        for gradient, term in zip(moving, fixed_terms, strict=True):
+            product = _correlate(gradient, term, size, margins)
+            energy = _correlate(gradient.square(), weight_term, size, margins)
+            least = _LEAST_ENERGY * energy.flatten(1).amax(1)[:, None, None].clamp_min(1e-20)
+            score = score + product / torch.maximum(energy, least).sqrt() / 2
+        value, at = _peaks(score, peaks)
+        shift_px = torch.stack([at[..., 1] - margins[0], at[..., 0] - margins[1]], dim=-1)
+        found.append(_shifted(problem, some, shift_px * detector.pixel_mm))
+        values.append(value)
+    parameters, similarity = torch.cat(found).flatten(0, 1), torch.cat(values).flatten().double()
+    order = similarity.argsort(descending=True)
+    return Candidates(parameters[order], similarity[order])
+
+
+def _draws(problem: Problem, poses: int) -> Float[Tensor, "n 9"]:
+    kept = [i for i, p in enumerate(problem.free) if p not in _SHIFTED]
+    unit = SobolEngine(max(1, len(kept)), scramble=True, seed=problem.seed).draw(poses, dtype=torch.float64)
+    values = problem.initial[problem.free].expand(poses, -1).clone()
+    lower, upper = problem.lower[kept], problem.upper[kept]
+    values[:, kept] = lower + unit[:, : len(kept)] * (upper - lower)
+    return problem.embed(values)
+
+
+def _magnification(parameters: Float[Tensor, "*b 9"]) -> Float[Tensor, "*b"]:
+    return parameters[..., 2] / (parameters[..., 2] - parameters[..., 5]).clamp_min(1)
+
+
+def _margins(problem: Problem, detector: Detector) -> tuple[int, int]:
+    """How many columns and rows the anatomy may move to either side."""
+    across = float(_magnification(problem.initial)) * problem.half_range[list(_SHIFTED)] / detector.pixel_mm
+    margins = [math.ceil(float(n)) if p in problem.free else 0 for p, n in zip(_SHIFTED, across, strict=True)]
+    return margins[0], margins[1]
+
+
+def _fast_size(least: int) -> int:
+    """The next whole number without prime factors over 5: transforms like it."""
+    rest = least
+    for p in (2, 3, 5):
+        while rest % p == 0:
+            rest //= p
+    return least if rest == 1 else _fast_size(least + 1)
+
+
+def _correlate(images: Tensor, term: Tensor, size: list[int], margins: tuple[int, int]) -> Tensor:
+    """Sum over the fixed image's pixels of an image shifted by 0 ... twice the margin, times what ``term`` is of."""
+    product = torch.fft.irfft2(torch.fft.rfft2(images, s=size) * term, s=size)
+    return product[:, : 2 * margins[1] + 1, : 2 * margins[0] + 1]
+
+
+def _peaks(score: Float[Tensor, "n r c"], peaks: int) -> tuple[Float[Tensor, "n k"], Tensor]:
+    """Values and (row, column) of the highest local maxima."""
+    highest = torch.nn.functional.max_pool2d(score[:, None], 5, stride=1, padding=2)[:, 0]
+    at_peak = torch.where(score >= highest, score, -torch.inf).flatten(1)
+    value, index = at_peak.topk(min(peaks, at_peak.shape[1]), dim=1)
+    columns = score.shape[2]
+    return value.nan_to_num(neginf=-1), torch.stack([index // columns, index % columns], dim=-1)
+
+
+def _shifted(
+    problem: Problem, poses: Float[Tensor, "n 9"], offset_mm: Float[Tensor, "n k 2"]
+) -> Float[Tensor, "n k 9"]:
+    """The patient moved so that what the wide image shows at an offset (right, down) comes to the detector's middle."""
+    moved = poses[:, None].expand(-1, offset_mm.shape[1], -1).clone()
+    by = offset_mm / _magnification(poses)[:, None, None]
+    moved[..., 3] -= by[..., 0]
+    moved[..., 4] += by[..., 1]
+    return problem.embed(moved[..., problem.free].clamp(problem.lower, problem.upper))
