@@ -89,7 +89,8 @@ def parser() -> argparse.ArgumentParser:
     add("--view", required=True, choices=_VIEWS, metavar="VIEW", help=_VIEW_HELP)
     add("--out", required=True, metavar="DIR", help="folder for result.json and overlay.png")
     add("--dof", type=int, default=9, choices=(9, 7, 6), help="what is sought: 9 all, 7 SDD and patient, 6 patient (9)")
-    add("--method", default="cmaes", choices=("cmaes", "pycma"), help="the paper's, or the same by package cma (cmaes)")
+    text = "hybrid; or the paper's, cmaes; or that by package cma, pycma (%(default)s)"
+    add("--method", default="hybrid", choices=("hybrid", "cmaes", "pycma"), help=text)
     add("--pixel-mm", type=_PIXEL_MM, metavar="MM", help="pixel size; overrules the file's")
     add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance to begin with (the file's, else 1000)")
     add("--landmark-ct", type=_COORDINATE, nargs=3, metavar=("X", "Y", "Z"), help="a point of the CT, LPS mm ...")

@@ -133,7 +133,7 @@ def _register(options: argparse.Namespace) -> int:
         warnings += [f"{options.radiograph}: {line}" for line in check_radiograph(radiograph)]
         result = _registered(
             options, folder, ct, radiograph, targets, warnings,
-            free=options.dof, sdd_mm=options.sdd_mm, threshold_hu=options.threshold_hu, pycma=options.method == "pycma",
+            free=options.dof, sdd_mm=options.sdd_mm, threshold_hu=options.threshold_hu, method=options.method,
             landmark_patient_mm=options.landmark_ct and tuple(options.landmark_ct),
             landmark_stored=options.landmark_radiograph and tuple(options.landmark_radiograph),
         )  # fmt: skip
@@ -143,7 +143,7 @@ def _register(options: argparse.Namespace) -> int:
 
 
 def _registered(
-    options: argparse.Namespace, folder: Path, ct, radiograph, targets, warnings: list[str], pycma=False, **settings
+    options: argparse.Namespace, folder: Path, ct, radiograph, targets, warnings: list[str], method="hybrid", **settings
 ):
     """Register with a progress bar, write result.json and overlay.png."""
     from functools import partial
@@ -156,6 +156,7 @@ def _registered(
     from regtorch.plotting import write_overlay
     from regtorch.registration import register
     from regtorch.registration.evolution import evolution
+    from regtorch.registration.hybrid import hybrid
 
     def progress(share: float, what: str) -> None:
         while warnings:  # only now is all input known to be good
@@ -163,9 +164,11 @@ def _registered(
         bar.set_description(what, refresh=False)
         bar.update(round(100 * share, 1) - bar.n)
 
-    method = partial(evolution, optimizer=optimization.pycma) if pycma else evolution
+    methods = {"hybrid": hybrid, "cmaes": evolution, "pycma": partial(evolution, optimizer=optimization.pycma)}
     with tqdm(total=100, disable=None, leave=False, bar_format="{desc} {bar} {elapsed} < {remaining}") as bar:
-        result = register(ct, radiograph, options.view, method=method, seed=options.seed, progress=progress, **settings)
+        result = register(
+            ct, radiograph, options.view, method=methods[method], seed=options.seed, progress=progress, **settings
+        )
     _write_json(folder / "result.json", result.to_dict())
     bone = attenuation(ct, threshold_hu=settings.get("threshold_hu", BONE_HU))
     moving = render(bone, result.parameters, radiograph.detector, options.view)

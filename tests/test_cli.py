@@ -23,6 +23,7 @@ from regtorch.cli import main
 from regtorch.imaging import read_volume, write_volume
 from regtorch.phantom import make_phantom
 from regtorch.registration import evolution as evolution_module
+from regtorch.registration import hybrid as hybrid_module
 from regtorch.registration.problem import Found
 
 SIZE = "--rows 100 --columns 80 --pixel-mm 3.5"
@@ -52,6 +53,7 @@ def method(monkeypatch) -> Method:
         evolution_module.evolution, starts=3, generations=2, pixels=(16, 24), survivors=1, final_generations=2
     )
     monkeypatch.setattr(evolution_module, "evolution", stub)
+    monkeypatch.setattr(hybrid_module, "hybrid", stub)
     return stub
 
 

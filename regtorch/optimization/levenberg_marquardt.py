@@ -7,9 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-Equations = Callable[
-    [Float[Tensor, "n d"]], tuple[Float[Tensor, " n"], Float[Tensor, "n d d"], Float[Tensor, "n d"]]
-]
+Equations = Callable[[Float[Tensor, "n d"]], tuple[Float[Tensor, " n"], Float[Tensor, "n d d"], Float[Tensor, "n d"]]]
 
 
 class Ascent(NamedTuple):

@@ -14,7 +14,7 @@ from regtorch.imaging import Volume
 from regtorch.optimization.levenberg_marquardt import Ascent, levenberg_marquardt
 from regtorch.registration.problem import Found, Problem
 from regtorch.registration.screening import screen
-from regtorch.scoring import normal_equations
+from regtorch.scoring import gradient_correlations, normal_equations
 from regtorch.similarity.gram import fixed_gradients
 
 
@@ -45,64 +45,83 @@ def hybrid(
     fewer on each level. If all tissue in the end reaches ``trusted_similarity``, and more than bone, it has not moved,
     and makes the answer. A voxel is ``voxel_per_pixel`` times what a pixel covers in the patient.
     """
-    evaluations, total = 0, len(stages) + 3.0
+    total = len(stages) + 3.0
+    tally = _Tally()
+    bone, whole = problem.attenuating, problem.whole
     candidates = []
-    for done, volume in enumerate((problem.attenuating, problem.whole)):
+    for done, volume in enumerate((bone, whole)):
         problem.progress(done / total, f"screening {poses} poses")
-        level = problem.level(first.pixels, voxel_per_pixel, volume)
-        screened = screen(problem, level.volume, first.pixels, poses)
-        evaluations += poses
-        chosen = screened.parameters[_distinct(problem, screened.parameters, level.fixed.detector.pixel_mm, first.candidates)]
-        climbed = _climb(problem, chosen, first, voxel_per_pixel, volume)
-        evaluations += climbed.evaluations
+        matcher = _Matcher(problem, first.pixels, voxel_per_pixel, volume, tally)
+        screened = screen(problem, matcher.level.volume, first.pixels, poses)
+        tally.evaluations += poses
+        apart = matcher.level.fixed.detector.pixel_mm
+        climbed = matcher.climb(
+            screened.parameters[_distinct(problem, screened.parameters, apart, first.candidates)], first
+        )
         order = climbed.similarity.argsort(descending=True)[: stages[0].candidates // 2]
         candidates.append(problem.embed(climbed.x[order]))
-    starts, parameters = None, torch.cat(candidates)
-    climbed = None
+    parameters, starts = torch.cat(candidates), None
     for number, stage in enumerate(stages):
         problem.progress((number + 2) / total, f"{stage.pixels} pixels, {len(parameters)} candidates")
-        climbed = _climb(problem, parameters[: stage.candidates], stage, voxel_per_pixel, problem.attenuating)
-        evaluations += climbed.evaluations
-        order = climbed.similarity.argsort(descending=True)
-        parameters, similarity = problem.embed(climbed.x[order]), climbed.similarity[order]
+        of_bone, of_whole = (_Matcher(problem, stage.pixels, voxel_per_pixel, v, tally) for v in (bone, whole))
+        climbed = of_bone.climb(parameters[: stage.candidates], stage)
+        parameters = problem.embed(climbed.x)
+        together = (climbed.similarity + of_whole.similarity(parameters)) / 2
+        order = together.argsort(descending=True)
+        parameters, together = parameters[order], together[order]
         if starts is None:
-            starts = parameters, similarity
+            starts = parameters, together
+        best, similarity = parameters[0], float(climbed.similarity[order[0]])
         parameters = parameters[_distinct(problem, parameters, 1.0, len(parameters))]
-    best, similarity = problem.embed(climbed.x[order[0]]), float(climbed.similarity[order[0]])
     problem.progress((len(stages) + 2) / total, "all tissue")
-    whole = _climb(problem, best[None], stages[-1], voxel_per_pixel, problem.whole)
-    evaluations += whole.evaluations
-    if float(whole.similarity[0]) > max(similarity, trusted_similarity):
-        best, similarity = problem.embed(whole.x[0]), float(whole.similarity[0])
+    by_whole = of_whole.climb(best[None], stages[-1])
+    if float(by_whole.similarity[0]) > max(similarity, trusted_similarity):
+        best, similarity = problem.embed(by_whole.x[0]), float(by_whole.similarity[0])
     return Found(
         parameters=best,
         similarity=similarity,
         starts=starts[0],
         start_similarity=starts[1],
-        evaluations=evaluations,
+        evaluations=tally.evaluations,
     )
 
 
-def _climb(
-    problem: Problem, start: Float[Tensor, "n 9"], stage: Stage, voxel_per_pixel: float, volume: Volume
-) -> Ascent:
-    level = problem.level(stage.pixels, voxel_per_pixel, volume)
-    fixed = fixed_gradients(level.fixed.image, level.fixed.weight)
+@dataclass
+class _Tally:
+    evaluations: int = 0
 
-    def equations(values: Float[Tensor, "n d"]):
-        found = normal_equations(
-            level.volume, problem.embed(values), level.fixed.detector, problem.view, fixed, free=problem.free
+
+class _Matcher:
+    """One level of the pyramid with one choice of tissue."""
+
+    def __init__(self, problem: Problem, pixels: int, voxel_per_pixel: float, volume: Volume, tally: _Tally) -> None:
+        self.problem, self.tally = problem, tally
+        self.level = problem.level(pixels, voxel_per_pixel, volume)
+        self.gradients = fixed_gradients(self.level.fixed.image, self.level.fixed.weight)
+
+    def similarity(self, parameters: Float[Tensor, "n 9"]) -> Float[Tensor, " n"]:
+        self.tally.evaluations += len(parameters)
+        place = self.level.fixed.detector, self.problem.view, self.gradients
+        return gradient_correlations(self.level.volume, parameters, *place).cpu()
+
+    def climb(self, start: Float[Tensor, "n 9"], stage: Stage) -> Ascent:
+        problem = self.problem
+
+        def equations(values: Float[Tensor, "n d"]) -> tuple[Tensor, ...]:
+            place = self.level.fixed.detector, problem.view, self.gradients
+            found = normal_equations(self.level.volume, problem.embed(values), *place, free=problem.free)
+            return tuple(part.cpu() for part in found)
+
+        ascent = levenberg_marquardt(
+            equations,
+            start[:, problem.free],
+            lower=problem.lower,
+            upper=problem.upper,
+            scale=1 / problem.sensitivity(),
+            steps=stage.steps,
         )
-        return tuple(part.cpu() for part in found)
-
-    return levenberg_marquardt(
-        equations,
-        start[:, problem.free],
-        lower=problem.lower,
-        upper=problem.upper,
-        scale=1 / problem.sensitivity(),
-        steps=stage.steps,
-    )
+        self.tally.evaluations += ascent.evaluations
+        return ascent
 
 
 def _distinct(problem: Problem, parameters: Float[Tensor, "n 9"], shift_mm: float, most: int) -> list[int]:

@@ -72,7 +72,13 @@ class Problem:
         """The pair at one level of the pyramid; of the CT what is rendered, or another ``volume`` of it."""
         magnification = float(self.initial[2] / (self.initial[2] - self.initial[5]))
         return Level.of(
-            self.attenuating if volume is None else volume, self.radiograph, self.view, self.similarity, longest, magnification, voxel_per_pixel
+            self.attenuating if volume is None else volume,
+            self.radiograph,
+            self.view,
+            self.similarity,
+            longest,
+            magnification,
+            voxel_per_pixel,
         )
 
 

@@ -11,7 +11,7 @@ from regtorch.errors import RegtorchError
 from regtorch.geometry import free_indices, pixel_from_patient, project
 from regtorch.imaging import BONE_HU, Radiograph, Volume, attenuation, crop_to_anatomy
 from regtorch.imaging.points import spread_points
-from regtorch.registration.evolution import evolution
+from regtorch.registration.hybrid import hybrid
 from regtorch.registration.initial import SEARCH, Point2, Point3, initial_parameters
 from regtorch.registration.objective import Similarity
 from regtorch.registration.problem import Found, Problem, Progress
@@ -27,7 +27,7 @@ def register(
     radiograph: Radiograph,
     view: str = "PA",
     *,
-    method: Callable[[Problem], Found] = evolution,
+    method: Callable[[Problem], Found] = hybrid,
     free: int | Iterable[str] = 9,
     initial: Float[Tensor, "9"] | None = None,
     half_range: Float[Tensor, "9"] | None = None,
@@ -46,7 +46,7 @@ def register(
     (``initial_parameters``). The SDD comes from ``sdd_mm``, else from the radiograph's file, else is 1000 mm. A
     landmark is a point of the CT (LPS mm) and the (column, row) of the file where it is seen. ``half_range`` is how
     far from ``initial`` to look (mm, rad). Voxels below ``threshold_hu`` count as air (None: none). ``method`` is
-    ``evolution``, the paper's, or a ``partial`` of it; ``similarity`` one of ``regtorch.similarity``.
+    ``hybrid``, or ``evolution``, the paper's, or a ``partial`` of either; ``similarity`` one of ``regtorch.similarity``.
 
     The same seed gives the same result. Raises ``RegtorchError`` for input that cannot be registered; a registration
     that went wrong is no error but has the status ``failed`` or ``doubtful``, and says why.

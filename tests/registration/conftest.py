@@ -31,6 +31,7 @@ class Pair:
         attenuating = crop_to_anatomy(attenuation(self.ct))
         settings = {
             "attenuating": attenuating,
+            "whole": crop_to_anatomy(attenuation(self.ct, threshold_hu=None)),
             "radiograph": self.radiograph,
             "view": "PA",
             "similarity": gradient_correlation,
