@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.drr import cpu, triton
-from regtorch.drr.render import Backend, chosen_backend, rays_of
+from regtorch.drr.render import Backend, Method, chosen_backend, rays_of
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, ray_jacobian
 from regtorch.imaging.volume import Volume
@@ -33,15 +33,16 @@ def gradient_correlations(
     fixed: Float[Tensor, "h w"] | FixedGradients,
     *,
     weight: Float[Tensor, "h w"] | None = None,
+    method: Method = "joseph",
     backend: Backend = "auto",
 ) -> Float[Tensor, "*b"]:
-    """Gradient correlation, eqs. (2)-(3), of DRRs by Joseph's method with the fixed image; float64.
+    """Gradient correlation, eqs. (2)-(3), of DRRs with the fixed image; float64. By Joseph's method one pass on a CPU.
 
     ``fixed`` may be ``fixed_gradients`` of an image, made once for many calls; then ``weight`` is theirs. Memory is
     bounded whatever the batch. No graph: see ``render`` and ``gradient_correlation`` for that.
     Raises ``RegtorchError`` as ``render`` does, and for images of different shapes.
     """
-    found = _scored(volume, parameters, detector, view, fixed, weight, [], backend)
+    found = _scored(volume, parameters, detector, view, fixed, weight, [], method, backend)
     return found.similarity.reshape(parameters.shape[:-1])
 
 
@@ -54,6 +55,7 @@ def normal_equations(
     *,
     weight: Float[Tensor, "h w"] | None = None,
     free: list[int] | None = None,
+    method: Method = "joseph",
     backend: Backend = "auto",
 ) -> NormalEquations:
     """As ``gradient_correlations``, with J^T J [*b, p, p] and J^T r [*b, p] by the parameters ``free`` (None: all).
@@ -61,9 +63,8 @@ def normal_equations(
     r is the difference of the normalised gradient images, |r|^2 = 4 (1 - similarity), J its exact derivative
     (per mm, per rad), which is stored for a few rows of one image at a time.
     """
-    found = _scored(
-        volume, parameters, detector, view, fixed, weight, list(range(9)) if free is None else free, backend
-    )
+    free = list(range(9)) if free is None else free
+    found = _scored(volume, parameters, detector, view, fixed, weight, free, method, backend)
     return NormalEquations(*(part.reshape((*parameters.shape[:-1], *part.shape[1:])) for part in found))
 
 
@@ -75,9 +76,10 @@ def _scored(
     fixed: Float[Tensor, "h w"] | FixedGradients,
     weight: Float[Tensor, "h w"] | None,
     free: list[int],
+    method: str,
     backend: str,
 ) -> NormalEquations:
-    chosen = chosen_backend(volume, parameters, "joseph", backend)
+    chosen = chosen_backend(volume, parameters, method, backend)
     gradients = _prepared(volume, detector, fixed, weight)
     pixels = _PIXELS_AT_ONCE.get(volume.data.device.type, _PIXELS_ELSEWHERE)
     at_once = max(1, pixels // ((1 + len(free)) * detector.rows * detector.columns))
@@ -85,21 +87,22 @@ def _scored(
     for some in parameters.detach().reshape(-1, 9).split(at_once):
         rays = rays_of(volume, some, detector, view)
         by_free = ray_jacobian(some, detector, view, volume.voxel_from_ct)[..., free].to(rays) if free else None
-        gram, magnitude = _gram(chosen, volume, rays, by_free, gradients)
+        gram, magnitude = _gram(chosen, method, volume, rays, by_free, gradients)
         found.append(equations_from_gram(gram, magnitude, gradients, torch.finfo(volume.data.dtype).eps))
     return NormalEquations(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
 
 def _gram(
     chosen: ModuleType,
+    method: str,
     volume: Volume,
     rays: Float[Tensor, "b 12"],
     by_free: Float[Tensor, "b 12 p"] | None,
     fixed: FixedGradients,
 ) -> tuple[Float[Tensor, "b 2 m m+2"], Float[Tensor, " b"]]:
-    if chosen is cpu:
+    if chosen is cpu and method == "joseph":
         return joseph_gram(volume.data, rays, by_free, volume.spacing_mm, fixed)
-    place = volume.spacing_mm, *fixed.root.shape, "joseph"
+    place = volume.spacing_mm, *fixed.root.shape, method
     if by_free is None:
         images = chosen.project(volume.data, rays, *place)
         if chosen is triton:

@@ -1,6 +1,26 @@
 """Radiographs of a CT whose geometry is known."""
 
+from regtorch.simulation.blur import add_scatter, blur_detector, blur_focal_spot
+from regtorch.simulation.devices import add_devices
 from regtorch.simulation.noise import add_quantum_noise
+from regtorch.simulation.readout import add_gain_and_offset, digitise
+from regtorch.simulation.realistic import realistic
 from regtorch.simulation.simulate import Simulation, draw_parameters, simulate
+from regtorch.simulation.soft_tissue import move_soft_tissue
+from regtorch.simulation.text import add_text
 
-__all__ = ["Simulation", "add_quantum_noise", "draw_parameters", "simulate"]
+__all__ = [
+    "Simulation",
+    "add_devices",
+    "add_gain_and_offset",
+    "add_quantum_noise",
+    "add_scatter",
+    "add_text",
+    "blur_detector",
+    "blur_focal_spot",
+    "digitise",
+    "draw_parameters",
+    "move_soft_tissue",
+    "realistic",
+    "simulate",
+]

@@ -82,7 +82,7 @@ def simulate(
     parameters = parameters.double()
     if detector.centre_mm != (0.0, 0.0):
         raise RegtorchError(f"detector centred on {detector.centre_mm} mm, expected a whole one, on (0, 0)")
-    named = dict(targets) if targets else _bone_points(ct)
+    named = dict(targets) if targets else bone_points(ct)
     image = render(attenuation(ct, threshold_hu=threshold_hu), parameters, detector, view, method="siddon")
     if photons is not None:
         image = add_quantum_noise(image, photons, torch.Generator().manual_seed(seed))
@@ -95,6 +95,7 @@ def simulate(
     return Simulation(image, parameters, detector, view, matrix, shown, seed)
 
 
-def _bone_points(ct: Volume) -> dict[str, tuple[float, float, float]]:
+def bone_points(ct: Volume) -> dict[str, tuple[float, float, float]]:
+    """Targets (LPS mm) spread over the bones, for a CT where nobody named any."""
     points = spread_points(attenuation(ct), _TARGETS).tolist()
     return {f"bone {number}": (x, y, z) for number, (x, y, z) in enumerate(points, 1)}
