@@ -17,10 +17,11 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Problem:
-    """``attenuating`` is the CT as it is rendered, cropped, ``whole`` all its tissue; ``points`` (LPS mm) lie on the anatomy in the image.
+    """What is searched for, and where.
 
-    Parameters in ``free`` may move within ``half_range`` of ``initial`` (mm, rad); the others stay. ``progress`` is
-    told the share that is done and what goes on.
+    ``attenuating`` is the CT as it is rendered, cropped, ``whole`` all its tissue; ``points`` (LPS mm) lie on the
+    anatomy in the image. Parameters in ``free`` may move within ``half_range`` of ``initial`` (mm, rad); the others
+    stay. ``progress`` is told the share that is done and what goes on.
     """
 
     attenuating: Volume

@@ -46,7 +46,8 @@ def register(
     (``initial_parameters``). The SDD comes from ``sdd_mm``, else from the radiograph's file, else is 1000 mm. A
     landmark is a point of the CT (LPS mm) and the (column, row) of the file where it is seen. ``half_range`` is how
     far from ``initial`` to look (mm, rad). Voxels below ``threshold_hu`` count as air (None: none). ``method`` is
-    ``hybrid``, or ``evolution``, the paper's, or a ``partial`` of either; ``similarity`` one of ``regtorch.similarity``.
+    ``hybrid``, which always takes gradient correlation, or ``evolution``, the paper's, or a ``partial`` of either;
+    ``similarity`` is one of ``regtorch.similarity``.
 
     The same seed gives the same result. Raises ``RegtorchError`` for input that cannot be registered; a registration
     that went wrong is no error but has the status ``failed`` or ``doubtful``, and says why.

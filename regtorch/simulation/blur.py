@@ -11,6 +11,9 @@ from regtorch.geometry import Detector
 
 _SIGMA_PER_FWHM = 1 / math.sqrt(8 * math.log(2))
 
+_SLAB = 4.0
+"""Line integral of the patient for whom a scatter-to-primary ratio is meant."""
+
 
 def blur_detector(
     line_integrals: Float[Tensor, "*b h w"], detector: Detector, *, fwhm_mm: float = 0.5
@@ -46,16 +49,18 @@ def add_scatter(
     scatter_to_primary: float = 0.3,
     width_mm: float = 50.0,
 ) -> Float[Tensor, "*b h w"]:
-    """Line integrals under a haze of scattered photons: what adds ``scatter_to_primary`` of all primary ones.
+    """Line integrals under a haze of photons that the patient scattered.
 
-    Their intensity is the primary one blurred by a Gaussian of standard deviation ``width_mm`` in the detector plane,
-    so that they matter most where little gets through. I/I0 is that of the primary photons: bare detector goes
-    below 0.
+    They come from p exp(-p), what is scattered once and gets out (Ohnesorge et al. 1999): air sends none. They are
+    spread by a Gaussian of standard deviation ``width_mm`` in the detector plane, and ``scatter_to_primary`` is their
+    ratio behind a wide uniform patient of 20 cm of water (p = 4); it grows as p does. I0 stays that of the primary
+    beam, so bare detector beside a patient may go below 0.
     """
     _check(scatter_to_primary, "scatter-to-primary ratio", unit="")
     _check(width_mm, "scatter width")
     primary = _exp(line_integrals)
-    haze = _gaussian(primary, width_mm / detector.pixel_mm)
+    scattered = primary * line_integrals.double().clamp(min=0) / _SLAB
+    haze = _gaussian(scattered, width_mm / detector.pixel_mm)
     return _log(primary + scatter_to_primary * haze, line_integrals)
 
 

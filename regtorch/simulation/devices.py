@@ -1,6 +1,7 @@
 """What else the beam meets: wires and catheters across the image and one dense block, as of an instrument."""
 
 import math
+from itertools import pairwise
 
 import torch
 from jaxtyping import Bool, Float
@@ -65,7 +66,7 @@ def _distance_mm(curve: Float[Tensor, "n 2"], detector: Detector, reach: float) 
     """From every pixel to the curve, where it is less than ``reach``; infinite elsewhere."""
     down, across = _pixels_mm(detector)
     distance = torch.full((detector.rows, detector.columns), math.inf, dtype=torch.float64)
-    for start, end in zip(curve[:-1], curve[1:], strict=True):
+    for start, end in pairwise(curve):
         low, high = torch.minimum(start, end) - reach, torch.maximum(start, end) + reach
         rows = ((down >= low[0]) & (down <= high[0])).nonzero().flatten()
         columns = ((across >= low[1]) & (across <= high[1])).nonzero().flatten()

@@ -17,6 +17,9 @@ from regtorch.simulation.simulate import DETECTOR, Simulation, bone_points, simu
 from regtorch.simulation.soft_tissue import move_soft_tissue
 from regtorch.simulation.text import add_text
 
+_LEFT, _RIGHT = (0.06, 0.06), (0.06, 0.89)
+"""Where letters go: on the patient's right in PA and AP."""
+
 
 def realistic(
     ct: Volume,
@@ -53,14 +56,18 @@ def realistic(
     image = simulation.image
     if devices:
         image, _ = add_devices(image, detector, count=devices, generator=metal)
-    image = blur_focal_spot(image, detector, simulation.parameters, spot_mm=spot_mm)
-    image = add_scatter(image, detector, scatter_to_primary=scatter_to_primary)
-    if photons is not None:
+    if spot_mm:
+        image = blur_focal_spot(image, detector, simulation.parameters, spot_mm=spot_mm)
+    if scatter_to_primary:
+        image = add_scatter(image, detector, scatter_to_primary=scatter_to_primary)
+    if photons:
         image = add_quantum_noise(image, photons, quanta)
-    image = blur_detector(image, detector, fwhm_mm=fwhm_mm)
-    image = add_gain_and_offset(image, gain_rms=gain_rms, generator=pixels)
-    if bits is not None:
+    if fwhm_mm:
+        image = blur_detector(image, detector, fwhm_mm=fwhm_mm)
+    if gain_rms:
+        image = add_gain_and_offset(image, gain_rms=gain_rms, generator=pixels)
+    if bits:
         _, image = digitise(image, bits=bits, full_scale=full_scale)
     if text:
-        image, _ = add_text(image, detector, text=text)
+        image, _ = add_text(image, detector, text=text, place=_RIGHT if view == "PA" else _LEFT)
     return replace(simulation, image=image)

@@ -13,7 +13,8 @@ from regtorch.imaging import Volume
 _WAVES = 48
 _NODES_PER_WAVE = 12
 """Nodes of the field's grid per wavelength: between them it is interpolated to 3 % at worst."""
-_BODY_HU = -500.0
+_TISSUE_HU = -300.0
+"""What is denser, and no bone, is soft tissue; the rest is lung and air."""
 _SLAB = 16
 
 
@@ -30,7 +31,7 @@ def move_soft_tissue(
 
     The field is a sum of plane waves, each ``wavelength_mm`` to twice that long. Bone is what lies over ``bone_hu``,
     holes up to ``rim_mm`` closed and ``rim_mm`` of its surroundings added: those voxels keep their values exactly.
-    Before the warp soft tissue is continued into where they are, so that none of the bone moves along.
+    Before the warp the soft tissue around them is continued into where they are, so that none of the bone moves along.
     """
     if ct.unit != "HU" or ct.data.ndim != 3:
         raise RegtorchError(f"{ct.name}: expected one volume in HU")
@@ -41,7 +42,7 @@ def move_soft_tissue(
         )
     field = _displacement(ct, rms_mm, wavelength_mm, generator)
     bone = _bone(ct, bone_hu, rim_mm)
-    return ct.with_data(torch.where(bone, ct.data, _warp(_fill(ct.data, bone), field)))
+    return ct.with_data(torch.where(bone, ct.data, _warp(_fill(ct.data, bone, ct.name), field)))
 
 
 def _displacement(
@@ -62,7 +63,8 @@ def _displacement(
     centred = torch.stack([i, j, k], -1) @ ct.patient_from_voxel[:3, :3].mT
     centred += ct.patient_from_voxel[:3, 3] - ct.origin_patient_mm
     moved = torch.cos(centred @ waves.mT + 2 * math.pi * phase) @ amplitude
-    body = ct.data[k.round().long(), j.round().long(), i.round().long()] > _BODY_HU
+    body = ct.data[k.round().long(), j.round().long(), i.round().long()] > _TISSUE_HU
+    body = body.cpu()
     squared = moved.square().sum(-1)
     rms = (squared[body] if bool(body.any()) else squared).mean().sqrt()
     in_voxels = moved * (rms_mm / rms) @ torch.linalg.inv(ct.patient_from_voxel[:3, :3]).mT
@@ -87,11 +89,14 @@ def _dilated(mask: Bool[Tensor, "d h w"], radii: list[int]) -> Bool[Tensor, "d h
     return mask
 
 
-def _fill(data: Float[Tensor, "d h w"], hole: Bool[Tensor, "d h w"]) -> Float[Tensor, "d h w"]:
-    """Values continued into the hole from around it: averages of the smallest power of two that reaches any."""
-    if bool(hole.all()):
-        raise RegtorchError("bone everywhere: expected soft tissue to move")
-    known = ~hole
+def _fill(data: Float[Tensor, "d h w"], bone: Bool[Tensor, "d h w"], name: str) -> Float[Tensor, "d h w"]:
+    """Soft tissue in the place of bone: its average over the smallest block, 2^n voxels wide, that holds any.
+
+    Lung is not continued: beside a rib that stays, the chest wall that comes along is tissue, not a slit of air.
+    """
+    known = (data > _TISSUE_HU) & ~bone
+    if not bool(known.any()):
+        raise RegtorchError(f"{name}: bone and air only, expected soft tissue to move")
     levels = [(data * known, known.to(data))]
     while not bool((levels[-1][1] > 0).all()):
         levels.append(tuple(avg_pool3d(x[None], 2, ceil_mode=True, count_include_pad=False)[0] for x in levels[-1]))
@@ -100,7 +105,7 @@ def _fill(data: Float[Tensor, "d h w"], hole: Bool[Tensor, "d h w"]) -> Float[Te
     for total, weight in reversed(levels):
         finer = interpolate(filled[None, None], size=total.shape, mode="trilinear", align_corners=False)[0, 0]
         filled = torch.where(weight > 0, total / weight.clamp(min=1e-12), finer)
-    return filled
+    return torch.where(bone, filled, data)
 
 
 def _warp(data: Float[Tensor, "d h w"], field: Float[Tensor, "3 kc jc ic"]) -> Float[Tensor, "d h w"]:

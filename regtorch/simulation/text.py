@@ -28,6 +28,8 @@ def add_text(
     """
     if not text.strip() or not 0 < height_mm < math.inf:
         raise RegtorchError(f"text {text!r} of {height_mm:g} mm: expected letters and a positive height")
+    if not all(0 <= share < 1 for share in place):
+        raise RegtorchError(f"text at {place}: expected shares of height and width, 0 to 1")
     rows, columns = line_integrals.shape
     drawn = _letters(text, max(3, round(height_mm / detector.pixel_mm)))
     row, column = (round(share * n) for share, n in zip(place, (rows, columns), strict=True))

@@ -1,0 +1,75 @@
+"""Climbing normalised correlations whose optimum is known."""
+
+import torch
+
+from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
+
+SCALE = torch.tensor([1.0, 0.05], dtype=torch.float64)
+TRUE = torch.tensor([3.0, 0.4], dtype=torch.float64)
+LOWER, UPPER = torch.tensor([-10.0, -1.0]).double(), torch.tensor([10.0, 1.0]).double()
+
+
+def _signal(x: torch.Tensor) -> torch.Tensor:
+    t = torch.linspace(-6, 10, 200, dtype=torch.float64)
+    return torch.exp(-0.5 * ((t - x[0]) / (1.5 + x[1])) ** 2)
+
+
+def _equations(clutter: float):
+    """Correlation of the signal with one at TRUE under which lies something that no parameter explains."""
+    noise = torch.randn(200, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    fixed = _signal(TRUE) + clutter * noise
+    fixed = fixed / fixed.norm()
+
+    def unit(x):
+        signal = _signal(x)
+        return signal / signal.norm()
+
+    def equations(points):
+        found = []
+        for x in points:
+            jacobian = torch.autograd.functional.jacobian(unit, x)
+            residual = unit(x) - fixed
+            found.append((unit(x) @ fixed, jacobian.mT @ jacobian, jacobian.mT @ residual))
+        return tuple(torch.stack(part) for part in zip(*found, strict=True))
+
+    return equations
+
+
+def _climb(start, clutter=0.0, **changes):
+    settings = {"lower": LOWER, "upper": UPPER, "scale": SCALE, "steps": 30, "tolerance": 1e-9} | changes
+    return levenberg_marquardt(_equations(clutter), start, **settings)
+
+
+def test_every_start_near_enough_finds_the_optimum():
+    start = TRUE + torch.tensor([[1.5, 0.3], [-2.0, -0.2], [0.0, 0.0]], dtype=torch.float64)
+    found = _climb(start)
+    torch.testing.assert_close(found.x, TRUE.expand(3, 2), atol=1e-7, rtol=0)
+    torch.testing.assert_close(found.similarity, torch.ones(3, dtype=torch.float64))
+
+
+def test_limits_hold_and_the_rest_is_still_sought():
+    upper = torch.tensor([2.0, 1.0], dtype=torch.float64)
+    found = _climb(torch.tensor([[1.0, 0.2]], dtype=torch.float64), upper=upper)
+    assert float(found.x[0, 0]) == 2.0
+    best = max(float(_equations(0.0)(torch.tensor([[2.0, w]]).double())[0]) for w in torch.linspace(0, 1, 201))
+    assert float(found.similarity) > best - 1e-6
+
+
+def test_similarity_never_falls_and_evaluations_are_counted():
+    start = torch.tensor([[-9.0, -0.9], [9.5, 0.9], [3.5, 0.3]], dtype=torch.float64)
+    before = _equations(0.3)(start)[0]
+    calls = []
+
+    def counted(points):
+        calls.append(len(points))
+        return _equations(0.3)(points)
+
+    found = levenberg_marquardt(counted, start, lower=LOWER, upper=UPPER, scale=SCALE, steps=12)
+    assert bool((found.similarity >= before).all())
+    assert found.evaluations == sum(calls)
+
+
+def test_starts_do_not_change_one_another():
+    start = TRUE + torch.tensor([[1.5, 0.3], [-2.0, -0.2]], dtype=torch.float64)
+    both, alone = _climb(start, clutter=0.2), _climb(start[1:], clutter=0.2)
+    torch.testing.assert_close(both.x[1:], alone.x)

@@ -1,0 +1,77 @@
+"""Screening finds shifts; the hybrid search finds the truth from far away, any subset of parameters, the same twice."""
+
+import math
+from functools import partial
+
+import pytest
+import torch
+
+from regtorch.evaluation import projection_distances
+from regtorch.geometry import pixel_from_patient
+from regtorch.imaging import Radiograph
+from regtorch.registration import register
+from regtorch.registration.hybrid import Stage, hybrid
+from regtorch.registration.screening import screen
+from regtorch.simulation import simulate
+
+from .conftest import DETECTOR
+
+FAR = torch.tensor([20.0, -15, 60, 90, -70, 60, *map(math.radians, (5, -6, 4))], dtype=torch.float64)
+HALF_RANGE = torch.tensor([75.0, 75, 150, 150, 150, 150, *[math.radians(12)] * 3], dtype=torch.float64)
+SMALL = partial(hybrid, poses=400, first=Stage(40, 24, 12), stages=(Stage(60, 8, 12), Stage(100, 2, 20)))
+
+
+def _pde_mm(pair, parameters) -> float:
+    points = torch.tensor(list(pair.truth.targets.values()), dtype=torch.float64)
+    place = DETECTOR, "PA", pair.ct.origin_patient_mm
+    matrices = [pixel_from_patient(p, *place) for p in (parameters, pair.truth.parameters)]
+    return float(projection_distances(*matrices, points, DETECTOR.pixel_mm).nanmean())
+
+
+def test_screening_finds_a_shift_in_the_plane_of_the_detector(pair):
+    """Nothing but the patient's x and y is off: the shift alone must bring the anatomy back."""
+    off = torch.zeros(9, dtype=torch.float64)
+    off[3:5] = torch.tensor([70.0, -55.0])
+    tiny = torch.full((9,), 1e-6, dtype=torch.float64)
+    tiny[3:5] = 100
+    problem = pair.problem(list(range(9)), initial=pair.truth.parameters + off, half_range=tiny)
+    level = problem.level(40, 1.3)
+    found = screen(problem, level.volume, 40, poses=2)
+    assert found.similarity[0] > 0.7
+    assert bool((found.similarity.diff() <= 0).all())
+    pixel_in_patient_mm = level.fixed.detector.pixel_mm / 1.2
+    assert float((found.parameters[0] - pair.truth.parameters)[3:5].abs().max()) < pixel_in_patient_mm
+
+
+def test_frozen_parameters_stay_in_screening(pair):
+    problem = pair.problem([0, 3, 7])
+    found = screen(problem, problem.level(40, 1.3).volume, 40, poses=5)
+    rest = [1, 2, 4, 5, 6, 8]
+    assert torch.equal(found.parameters[:, rest], pair.initial[rest].expand(len(found.parameters), 6))
+    assert bool((found.parameters[:, [0, 3, 7]] <= problem.upper).all())
+    assert bool((found.parameters[:, [0, 3, 7]] >= problem.lower).all())
+
+
+@pytest.mark.parametrize("threshold_hu", [100.0, None], ids=["bone", "all tissue"])
+def test_the_truth_is_found_from_far_away(pair, threshold_hu):
+    truth = simulate(pair.ct, pair.truth.parameters, "PA", detector=DETECTOR, threshold_hu=threshold_hu)
+    radiograph = Radiograph.from_image(truth.image, DETECTOR)
+    initial = pair.truth.parameters + FAR
+    assert _pde_mm(pair, initial) > 80
+    found = register(pair.ct, radiograph, "PA", method=SMALL, initial=initial, half_range=HALF_RANGE)
+    assert _pde_mm(pair, found.parameters) < 0.5
+    assert found.status == "ok", found.message
+    assert found.evaluations < 4000
+
+
+@pytest.mark.parametrize(("free", "moving"), [(6, [3, 4, 5, 6, 7, 8]), (["x_obj", "eta", "z_s"], [2, 3, 6])], ids=str)
+def test_what_is_frozen_stays(pair, free, moving):
+    settings = {"initial": pair.initial, "half_range": HALF_RANGE}
+    found = register(pair.ct, pair.radiograph, "PA", method=SMALL, free=free, **settings)
+    assert (found.parameters != pair.initial).nonzero().flatten().tolist() == moving
+
+
+def test_the_same_seed_gives_the_same_result(pair):
+    one, same = (register(pair.ct, pair.radiograph, "PA", method=SMALL, initial=pair.initial, seed=3) for _ in range(2))
+    assert torch.equal(one.parameters, same.parameters)
+    assert one.evaluations == same.evaluations
