@@ -57,10 +57,7 @@ def _registered(
     initial = initial_parameters(ct, detector, view)
     if config.z_obj_mm is not None:
         initial[5] = config.z_obj_mm
-    half_range = torch.tensor(
-        [*config.range.source_mm, *config.range.patient_mm, *[math.radians(config.range.rotation_deg)] * 3]
-    )
-    true = draw_parameters(initial, half_range, torch.Generator().manual_seed(seed))
+    true = draw_parameters(initial, _half_range(config.range), torch.Generator().manual_seed(seed))
     truth = simulate(ct, true, view, detector=detector, threshold_hu=threshold_hu, seed=seed)
     result = register(
         ct,
@@ -69,6 +66,7 @@ def _registered(
         method=instantiate(config.registration),
         free=dof,
         initial=initial,
+        half_range=_half_range(config.search),
         seed=seed,
         progress=lambda share, what: tell(f"{100 * share:.0f} % {what}", refresh=False),
     )
@@ -93,6 +91,11 @@ def _registered(
         "device": result.device,
         "version": __version__,
     }
+
+
+def _half_range(config: DictConfig) -> torch.Tensor:
+    """In mm and rad, nine numbers."""
+    return torch.tensor([*config.source_mm, *config.patient_mm, *[math.radians(config.rotation_deg)] * 3])
 
 
 def _refuse_to_mix(config: DictConfig, table: Path) -> None:

@@ -13,7 +13,7 @@ from regtorch.imaging import Volume
 SDD_MM = 1000.0
 """Source-detector distance where nothing tells it, as in the paper."""
 
-SEARCH = (75.0, 75.0, 150.0, 75.0, 75.0, 150.0, *(math.radians(12),) * 3)
+SEARCH = (75.0, 75.0, 150.0, 150.0, 150.0, 150.0, *(math.radians(12),) * 3)
 """Half the range searched about the start, in mm and rad. Declared here: the paper's Table 1 is lost."""
 
 BODY_HU = -300.0

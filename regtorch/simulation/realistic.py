@@ -43,8 +43,8 @@ def realistic(
     """``simulate`` of the whole CT and then, in this order, what happens to the beam and to its image.
 
     Soft tissue moves, bones stay; devices; focal spot; scatter; photons are counted; the detector's blur (which the
-    noise shares), gain, and range; letters. Defaults: see each function. An effect whose argument is 0, None or ""
-    is left out and changes none of the others' random numbers. Parameters, matrix and targets are ``simulate``'s.
+    noise shares), gain, and range, which air overexposes; letters. An effect whose argument is 0, None or "" is left
+    out and changes none of the others' random numbers. Parameters, matrix and targets are ``simulate``'s.
     """
     root = torch.Generator().manual_seed(seed)
     seeds = torch.randint(2**62, (4,), generator=root).tolist()

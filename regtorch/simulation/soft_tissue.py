@@ -30,8 +30,8 @@ def move_soft_tissue(
     """The CT (HU) with all but its bones warped by a smooth random field of ``rms_mm`` RMS length over the body.
 
     The field is a sum of plane waves, each ``wavelength_mm`` to twice that long. Bone is what lies over ``bone_hu``,
-    holes up to ``rim_mm`` closed and ``rim_mm`` of its surroundings added: those voxels keep their values exactly.
-    Before the warp the soft tissue around them is continued into where they are, so that none of the bone moves along.
+    with holes up to ``rim_mm`` closed: it keeps its values exactly, and so does soft tissue within ``rim_mm`` of it.
+    Before the warp the soft tissue around it is continued into where it is, so that none of the bone moves along.
     """
     if ct.unit != "HU" or ct.data.ndim != 3:
         raise RegtorchError(f"{ct.name}: expected one volume in HU")
@@ -41,8 +41,14 @@ def move_soft_tissue(
             "expected a positive wavelength and neither of the others below 0"
         )
     field = _displacement(ct, rms_mm, wavelength_mm, generator)
-    bone = _bone(ct, bone_hu, rim_mm)
-    return ct.with_data(torch.where(bone, ct.data, _warp(_fill(ct.data, bone, ct.name), field)))
+    radii = [round(rim_mm / mm) for mm in ct.spacing_mm.flip(0).tolist()]
+    grown = _dilated(ct.data > bone_hu, radii)
+    bone = ~_dilated(~grown, radii)
+    around = ~_dilated(~_dilated(grown, radii), radii)
+    moved = _warp(_fill(ct.data, around, ct.name), field)
+    # The lung beside a rib is not kept: between the rib and the chest wall that moved it would be a slit of air.
+    kept = around.logical_and_(ct.data > _TISSUE_HU).logical_or_(bone)
+    return ct.with_data(torch.where(kept, ct.data, moved))
 
 
 def _displacement(
@@ -71,13 +77,6 @@ def _displacement(
     return in_voxels.movedim(-1, 0).to(ct.data)
 
 
-def _bone(ct: Volume, bone_hu: float, rim_mm: float) -> Bool[Tensor, "d h w"]:
-    """Dilated twice and eroded once: holes are closed, and one rim remains."""
-    radii = [round(rim_mm / mm) for mm in ct.spacing_mm.flip(0).tolist()]
-    twice = _dilated(_dilated(ct.data > bone_hu, radii), radii)
-    return ~_dilated(~twice, radii)
-
-
 def _dilated(mask: Bool[Tensor, "d h w"], radii: list[int]) -> Bool[Tensor, "d h w"]:
     """By a box of ``radii`` voxels to either side; nothing comes in over the border."""
     for axis, radius in enumerate(radii):
@@ -92,14 +91,15 @@ def _dilated(mask: Bool[Tensor, "d h w"], radii: list[int]) -> Bool[Tensor, "d h
 def _fill(data: Float[Tensor, "d h w"], bone: Bool[Tensor, "d h w"], name: str) -> Float[Tensor, "d h w"]:
     """Soft tissue in the place of bone: its average over the smallest block, 2^n voxels wide, that holds any.
 
-    Lung is not continued: beside a rib that stays, the chest wall that comes along is tissue, not a slit of air.
+    Lung is not continued: next to a rib that stays, what comes from within it is tissue and no gap.
     """
     known = (data > _TISSUE_HU) & ~bone
     if not bool(known.any()):
         raise RegtorchError(f"{name}: bone and air only, expected soft tissue to move")
     levels = [(data * known, known.to(data))]
     while not bool((levels[-1][1] > 0).all()):
-        levels.append(tuple(avg_pool3d(x[None], 2, ceil_mode=True, count_include_pad=False)[0] for x in levels[-1]))
+        block = [min(2, n) for n in levels[-1][0].shape]
+        levels.append(tuple(avg_pool3d(x[None], block, ceil_mode=True)[0] for x in levels[-1]))
     total, weight = levels.pop()
     filled = total / weight
     for total, weight in reversed(levels):
