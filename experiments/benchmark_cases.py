@@ -16,6 +16,7 @@ from experiments.limits import device_name, gathers_per_second, samples_all, sam
 from experiments.timing import Run, alternate
 from regtorch.drr import render
 from regtorch.imaging import BONE_HU
+from regtorch.similarity.gram import fixed_gradients
 
 Row = dict[str, Any]
 
@@ -223,7 +224,8 @@ def sweep(bench: Bench, *, over: dict[str, Sequence[float]], **options: Any) -> 
 
 
 def _scored(bench: Bench, score: Callable[..., Any], scene: Scene) -> list[Row]:
-    fixed = render(scene.volume, bench.scenes.start(scene.detector)[None], scene.detector, scene.view)[0]
+    start = bench.scenes.start(scene.detector)
+    fixed = fixed_gradients(render(scene.volume, start, scene.detector, scene.view), None)  # once, as in a search
     own = bench.ours("regtorch", scene, lambda some: score(scene.volume, some, scene.detector, scene.view, fixed))
     return bench.rows(scene, [own, bench.ours("regtorch, rendering alone", scene, _renders(scene))])
 

@@ -12,6 +12,7 @@ from experiments.benchmark_scene import Scene
 from experiments.limits import GROUP_BYTES, bytes_per_second, device_name, samples_all, samples_needed
 from experiments.timing import Run, alternate
 from regtorch.drr import render
+from regtorch.similarity.gram import fixed_gradients
 
 _DEVICE = "cuda"
 _CACHE_MB, _MEMORY_MB = 16, 2048
@@ -45,7 +46,7 @@ def paper_budget(bench: Bench, *, levels: Sequence[dict[str, Any]]) -> list[Row]
     scored = []
     for scene in scenes:
         start = bench.scenes.start(scene.detector)[None].to(_DEVICE)
-        fixed = render(scene.volume, start, scene.detector, scene.view)[0]
+        fixed = fixed_gradients(render(scene.volume, start[0], scene.detector, scene.view), None)
         scored.append((scene.volume, scene.poses, scene.detector, scene.view, fixed))
     for volume, poses, *rest in scored:
         gradient_correlations(volume, poses[:1024], *rest)

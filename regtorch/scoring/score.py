@@ -23,6 +23,7 @@ from regtorch.similarity.triton import gradient_gram as gradient_gram_triton
 
 _PIXELS_AT_ONCE = {"cpu": 1 << 22}
 _PIXELS_ELSEWHERE = 1 << 26
+_POSES_AT_ONCE = 4096
 
 
 def gradient_correlations(
@@ -82,7 +83,7 @@ def _scored(
     chosen = chosen_backend(volume, parameters, method, backend)
     gradients = _prepared(volume, detector, fixed, weight)
     pixels = _PIXELS_AT_ONCE.get(volume.data.device.type, _PIXELS_ELSEWHERE)
-    at_once = max(1, pixels // ((1 + len(free)) * detector.rows * detector.columns))
+    at_once = max(1, min(_POSES_AT_ONCE, pixels // ((1 + len(free)) * detector.rows * detector.columns)))
     found = []
     for some in parameters.detach().reshape(-1, 9).split(at_once):
         rays = rays_of(volume, some, detector, view)
