@@ -89,9 +89,9 @@ def chosen_backend(volume: Volume, parameters: Float[Tensor, "*b 9"], method: st
             raise RegtorchError(f"{what} {name!r}: expected one of {', '.join(known)}")
     if volume.unit != "per_mm":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected attenuation per mm to render")
-    if not bool(torch.isfinite(parameters).all()):
+    if not bool(parameters.detach().sum().isfinite()):  # one number, where a mask would be as large as the batch
         raise RegtorchError("parameters that are not finite: expected nine numbers per pose")
-    if bool((parameters[..., 2] <= 0).any()):
+    if parameters.numel() and bool(parameters[..., 2].min() <= 0):
         raise RegtorchError(f"SDD of {float(parameters[..., 2].min()):g} mm: expected a positive distance")
     fused = {"cpu": cpu, "triton": triton}
     if backend == "auto":
