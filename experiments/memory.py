@@ -9,11 +9,11 @@ from pathlib import Path
 
 import torch
 from omegaconf import OmegaConf
-from regtorch.scoring import gradient_correlations
 
 from experiments.benchmark_scene import Scenes
 from experiments.timing import use_threads
 from regtorch.drr import render
+from regtorch.scoring import gradient_correlations
 
 _OPTIONS = {
     "ct": None,

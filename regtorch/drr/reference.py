@@ -46,6 +46,9 @@ def project_with_jacobian(
     A pixel depends on its own ray's ends alone, so one backward pass of the sum over pixels gives each its derivative.
     """
     data, spacing_mm = data.reshape(-1, *data.shape[-3:]), spacing_mm.to(data)
+    if not len(rays):
+        none = 0, len(data)
+        return data.new_zeros(*none, rows, columns), data.new_zeros(*none, ray_jacobian.shape[2], rows, columns)
     images, jacobians = [], []
     for ray, by_parameters in zip(rays, ray_jacobian, strict=True):
         values, slopes = [], []

@@ -43,8 +43,7 @@ class Level:
         fixed = level(radiograph, longest)
         voxel_mm = voxel_per_pixel * fixed.detector.pixel_mm / magnification
         volume = coarsen(attenuating, voxel_mm)
-        device = volume.data.device
-        fixed = replace(fixed, image=fixed.image.to(device), weight=fixed.weight.to(device))
+        fixed = replace(fixed, image=fixed.image.to(volume.data), weight=fixed.weight.to(volume.data))
         return cls(volume, fixed, view, similarity)
 
     @cached_property

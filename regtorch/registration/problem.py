@@ -9,7 +9,7 @@ from torch import Tensor
 
 from regtorch.evaluation import projection_distances
 from regtorch.geometry import NAMES, pixel_from_patient
-from regtorch.imaging import Radiograph, Volume, level
+from regtorch.imaging import Radiograph, Volume
 from regtorch.registration.objective import Level, Similarity
 
 Progress = Callable[[float, str], None]
@@ -65,10 +65,6 @@ class Problem:
         moved = (self.initial + torch.diag(step))[self.free]
         return self.shift_mm(moved, self.initial) / step[self.free]
 
-    def fixed(self, longest: int) -> Radiograph:
-        """The radiograph at one level of the pyramid."""
-        return level(self.radiograph, longest)
-
     def level(self, longest: int, voxel_per_pixel: float, volume: Volume | None = None) -> Level:
         """The pair at one level of the pyramid; of the CT what is rendered, or another ``volume`` of it."""
         magnification = float(self.initial[2] / (self.initial[2] - self.initial[5]))
@@ -85,7 +81,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Found:
-    """The answer of a search method; ``starts`` (best first) and their similarities are those of its first level."""
+    """The answer of a search method; ``starts`` (best first) and their similarities are those it chose the place by."""
 
     parameters: Float[Tensor, "9"]
     similarity: float

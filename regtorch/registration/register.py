@@ -75,7 +75,7 @@ def register(
         )
     attenuating = crop_to_anatomy(attenuation(ct, threshold_hu=threshold_hu))
     half_range = torch.tensor(SEARCH) if half_range is None else half_range
-    if not bool((half_range[moving] > 0).all()):
+    if not bool(((half_range[moving] > 0) & half_range[moving].isfinite()).all()):
         raise RegtorchError(
             f"half range {half_range.tolist()}: expected more than 0 for what may move; freeze the rest"
         )

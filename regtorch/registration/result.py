@@ -19,8 +19,8 @@ class Registration:
     ``parameters`` and ``initial`` are the nine (mm, rad; float64). ``image_from_patient`` maps LPS mm to (column, row)
     of the image seen from the source, ``pixel_from_patient`` to those of the image as its file stores it, which may be
     ``mirrored``. ``message`` says in one sentence why ``status`` is what it is. ``similarity`` is that of the finest
-    level, between -1 and 1. ``starts`` is where the first level's starts ended, best first, and
-    ``start_similarity`` how well.
+    level, between -1 and 1. ``starts`` is where the starts of a coarse level ended, best first,
+    and ``start_similarity`` how well.
     """
 
     parameters: Float[Tensor, "9"]

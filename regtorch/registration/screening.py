@@ -4,19 +4,20 @@ import math
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from regtorch.drr import render
 from regtorch.geometry import Detector
-from regtorch.imaging import Volume
+from regtorch.registration.objective import Level
 from regtorch.registration.problem import Problem
 from regtorch.similarity.gradients import gradient_weight, image_gradients
 
 _SHIFTED = (3, 4)
 _LEAST_ENERGY = 0.1
 _POSES_AT_ONCE = 64
+_PIXELS_AT_ONCE = 1 << 21
 
 
 class Candidates(NamedTuple):
@@ -26,18 +27,18 @@ class Candidates(NamedTuple):
     similarity: Float[Tensor, " n"]
 
 
-def screen(problem: Problem, volume: Volume, pixels: int, poses: int, peaks: int = 2) -> Candidates:
+def screen(problem: Problem, level: Level, poses: int, seed: int, peaks: int = 2) -> Candidates:
     """For each of ``poses`` draws, the ``peaks`` best in-plane shifts, by correlation of gradients.
 
     Moving the patient in the plane of the detector moves its image and hardly changes it. So one DRR, wide enough for
     every shift in the range, tells the correlation at all shifts by a Fourier transform: of the fixed image's gradients
-    with the DRR's, over the root of the DRR's energy where the fixed image lies (masked normalised cross-correlation).
-    Shifts that are frozen are not searched; the draws are a scrambled Sobol sequence over the other free parameters.
+    with the DRR's, over the root of the DRR's energy where the fixed image lies (masked normalised cross-correlation),
+    or of a tenth of the highest energy, where it has less. Shifts that are frozen are not searched; the draws are a
+    scrambled Sobol sequence over the other free parameters.
     """
-    fixed = problem.fixed(pixels)
-    detector = fixed.detector
-    draws = _draws(problem, poses)
-    margins = _margins(problem, detector)
+    fixed, detector = level.fixed, level.fixed.detector
+    draws = _draws(problem, poses, seed)
+    margins = _margins(problem, detector, draws)
     wide = Detector(
         detector.rows + 2 * margins[1], detector.columns + 2 * margins[0], detector.pixel_mm, detector.centre_mm
     )
@@ -50,26 +51,29 @@ def screen(problem: Problem, volume: Volume, pixels: int, poses: int, peaks: int
         fixed_terms.append(torch.fft.rfft2(f / norm, s=size).conj())
     weight_term = torch.fft.rfft2(weight, s=size).conj()
     found, values = [], []
-    for some in draws.split(_POSES_AT_ONCE):
-        moving = image_gradients(render(volume, some, wide, problem.view))
+    at_once = max(1, min(_POSES_AT_ONCE, _PIXELS_AT_ONCE // (wide.rows * wide.columns)))
+    for some in draws.split(at_once):
+        moving = image_gradients(render(level.volume, some, wide, problem.view))
         score = 0
         for gradient, term in zip(moving, fixed_terms, strict=True):
             product = _correlate(gradient, term, size, margins)
             energy = _correlate(gradient.square(), weight_term, size, margins)
             least = _LEAST_ENERGY * energy.flatten(1).amax(1)[:, None, None].clamp_min(1e-20)
             score = score + product / torch.maximum(energy, least).sqrt() / 2
+        score = score.cpu().double().masked_fill(~_in_range(problem, detector, some, margins), -1)
         value, at = _peaks(score, peaks)
         shift_px = torch.stack([at[..., 1] - margins[0], at[..., 0] - margins[1]], dim=-1)
         found.append(_shifted(problem, some, shift_px * detector.pixel_mm))
         values.append(value)
-    parameters, similarity = torch.cat(found).flatten(0, 1), torch.cat(values).flatten().double()
+    parameters, similarity = torch.cat(found).flatten(0, 1), torch.cat(values).flatten()
     order = similarity.argsort(descending=True)
     return Candidates(parameters[order], similarity[order])
 
 
-def _draws(problem: Problem, poses: int) -> Float[Tensor, "n 9"]:
+def _draws(problem: Problem, poses: int, seed: int) -> Float[Tensor, "n 9"]:
     kept = [i for i, p in enumerate(problem.free) if p not in _SHIFTED]
-    unit = SobolEngine(max(1, len(kept)), scramble=True, seed=problem.seed).draw(poses, dtype=torch.float64)
+    poses = poses if kept else 1
+    unit = SobolEngine(max(1, len(kept)), scramble=True, seed=seed).draw(poses, dtype=torch.float64)
     values = problem.initial[problem.free].expand(poses, -1).clone()
     lower, upper = problem.lower[kept], problem.upper[kept]
     values[:, kept] = lower + unit[:, : len(kept)] * (upper - lower)
@@ -80,9 +84,10 @@ def _magnification(parameters: Float[Tensor, "*b 9"]) -> Float[Tensor, "*b"]:
     return parameters[..., 2] / (parameters[..., 2] - parameters[..., 5]).clamp_min(1)
 
 
-def _margins(problem: Problem, detector: Detector) -> tuple[int, int]:
-    """How many columns and rows the anatomy may move to either side."""
-    across = float(_magnification(problem.initial)) * problem.half_range[list(_SHIFTED)] / detector.pixel_mm
+def _margins(problem: Problem, detector: Detector, draws: Float[Tensor, "n 9"]) -> tuple[int, int]:
+    """How many columns and rows the anatomy may move to either side, at up to twice the start's magnification."""
+    most = min(float(_magnification(draws).max()), 2 * float(_magnification(problem.initial)))
+    across = most * problem.half_range[list(_SHIFTED)] / detector.pixel_mm
     margins = [math.ceil(float(n)) if p in problem.free else 0 for p, n in zip(_SHIFTED, across, strict=True)]
     return margins[0], margins[1]
 
@@ -102,13 +107,25 @@ def _correlate(images: Tensor, term: Tensor, size: list[int], margins: tuple[int
     return product[:, : 2 * margins[1] + 1, : 2 * margins[0] + 1]
 
 
+def _in_range(
+    problem: Problem, detector: Detector, poses: Float[Tensor, "n 9"], margins: tuple[int, int]
+) -> Bool[Tensor, "n r c"]:
+    """Which shifts the range holds, half a pixel more at least."""
+    inside = []
+    for axis, margin in zip(_SHIFTED, margins, strict=True):
+        offset = (torch.arange(2 * margin + 1) - margin).abs() * detector.pixel_mm
+        most = problem.half_range[axis] * _magnification(poses) + detector.pixel_mm / 2
+        inside.append(offset <= most[:, None])
+    return inside[1][:, :, None] & inside[0][:, None, :]
+
+
 def _peaks(score: Float[Tensor, "n r c"], peaks: int) -> tuple[Float[Tensor, "n k"], Tensor]:
     """Values and (row, column) of the highest local maxima."""
     highest = torch.nn.functional.max_pool2d(score[:, None], 5, stride=1, padding=2)[:, 0]
     at_peak = torch.where(score >= highest, score, -torch.inf).flatten(1)
     value, index = at_peak.topk(min(peaks, at_peak.shape[1]), dim=1)
     columns = score.shape[2]
-    return value.nan_to_num(neginf=-1), torch.stack([index // columns, index % columns], dim=-1)
+    return value.nan_to_num(nan=-1, neginf=-1), torch.stack([index // columns, index % columns], dim=-1)
 
 
 def _shifted(
