@@ -130,7 +130,7 @@ def test_images_of_peers_are_ours(bench, name, shape):
         try:
             images = peer["images"](scene.volume, detector, view, 1)
         except ImportError as error:
-            pytest.skip(f"{name} is not installed ({error}): pip install regtorch[peers]")
+            pytest.skip(f"{name} is not installed ({error}): the README says how")
         poses = scene.poses + _AWAY_FROM_THE_DETECTOR
         ours = render(scene.volume, poses, detector, view, method=peer["method"])
         assert relative(images(poses), ours) < 0.05
@@ -149,7 +149,7 @@ def test_gradients_of_peers_are_ours(bench, name):
     try:
         gradient = instantiate(_PEERS[name])["gradient"](volume, scene.detector, scene.view, 1)
     except ImportError as error:
-        pytest.skip(f"{name} is not installed ({error}): pip install regtorch[peers]")
+        pytest.skip(f"{name} is not installed ({error}): the README says how")
     jacobian = render_with_jacobian(volume, poses, scene.detector, scene.view)[1]
     ours = (jacobian.double() * weight).sum(dim=(-2, -1))
     scale = ours.square().mean(dim=0).sqrt()
