@@ -9,7 +9,7 @@ from regtorch.similarity.triton import kernels as similarity
 
 TARGET = GPUTarget("cuda", 80, 32)
 TYPES = {
-    "data": "*fp32", "total": "*i64", "rays": "*fp64", "ray_jacobian": "*fp64", "spacing": "*fp64", "sums": "*fp64",
+    "data": "*fp32", "total": "*i64", "rays": "*fp64", "ray_jacobian": "*fp64", "grid": "*fp64", "sums": "*fp64",
     "images": "*fp32", "jacobian": "*fp32", "image_gradients": "*fp32",
     "fixed": "*fp32", "root": "*fp32", "parts": "*fp64",
 }  # fmt: skip

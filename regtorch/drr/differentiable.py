@@ -15,13 +15,13 @@ def project(
     backend: ModuleType,
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     rows: int,
     columns: int,
     method: str,
 ) -> Float[Tensor, "b classes rows columns"]:
     """``backend.project`` with derivatives by the rays and by the voxels."""
-    place = spacing_mm, rows, columns, method
+    place = grid, rows, columns, method
     needs_gradient = torch.is_grad_enabled() and (rays.requires_grad or data.requires_grad)
     if backend is reference or not needs_gradient:
         return backend.project(data, rays, *place)
@@ -40,8 +40,8 @@ class _Projection(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
         _, rays = ctx.saved_tensors  # complains if the volume has changed since
-        spacing_mm, _, _, method = ctx.place
-        given = ctx.data, rays, spacing_mm, image_gradients, method
+        grid, _, _, method = ctx.place
+        given = ctx.data, rays, grid, image_gradients, method
         by_data = ctx.backend.pull_back_data(*given) if ctx.needs_input_grad[0] else None
         by_rays = ctx.backend.pull_back_rays(*given) if ctx.needs_input_grad[1] else None
         return by_data, by_rays, None, None

@@ -15,17 +15,17 @@ _SAMPLES_AT_ONCE = 1 << 23
 def project(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     rows: int,
     columns: int,
     method: str,
 ) -> Float[Tensor, "b classes rows columns"]:
     """Line integrals for twelve numbers per pose, a bounded number of rays at a time."""
-    data, spacing_mm = data.reshape(-1, *data.shape[-3:]), spacing_mm.to(data)
+    data, grid = data.reshape(-1, *data.shape[-3:]), grid.to(data)
     images = []
     for ray in rays:
         parts = [
-            _RULES[method](data, source.to(data), pixel.to(data), spacing_mm)
+            _RULES[method](data, source.to(data), pixel.to(data), grid)
             for source, pixel, _ in _some_rays(ray, data, rows, columns)
         ]
         images.append(torch.cat(parts, dim=1).reshape(-1, rows, columns))
@@ -36,7 +36,7 @@ def project_with_jacobian(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
     ray_jacobian: Float[Tensor, "b 12 p"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     rows: int,
     columns: int,
     method: str,
@@ -45,7 +45,7 @@ def project_with_jacobian(
 
     A pixel depends on its own ray's ends alone, so one backward pass of the sum over pixels gives each its derivative.
     """
-    data, spacing_mm = data.reshape(-1, *data.shape[-3:]), spacing_mm.to(data)
+    data, grid = data.reshape(-1, *data.shape[-3:]), grid.to(data)
     if not len(rays):
         none = 0, len(data)
         return data.new_zeros(*none, rows, columns), data.new_zeros(*none, ray_jacobian.shape[2], rows, columns)
@@ -55,7 +55,7 @@ def project_with_jacobian(
         for source, pixel, steps in _some_rays(ray, data, rows, columns):
             ends = [end.detach().to(data).requires_grad_() for end in (source, pixel)]
             with torch.enable_grad():
-                value = _RULES[method](data, *ends, spacing_mm)
+                value = _RULES[method](data, *ends, grid)
             each = [torch.autograd.grad(one.sum(), ends, retain_graph=True) for one in value]
             by_source, by_pixel = (torch.stack(gradient) for gradient in zip(*each, strict=True))
             by_rays = [by_source, by_pixel, by_pixel * steps[:, :1], by_pixel * steps[:, 1:]]
@@ -77,7 +77,7 @@ def _some_rays(ray, data, rows, columns):
         yield source.expand(len(some), 3), first + steps[:, :1] * column_step + steps[:, 1:] * row_step, steps
 
 
-def _siddon(data, source, pixel, spacing_mm):
+def _siddon(data, source, pixel, grid):
     """Siddon 1985: the crossings with all voxel faces, sorted; between two of them lies one voxel."""
     size, direction = torch.tensor(data.shape[:0:-1], device=data.device), pixel - source
     enter, leave = _span(source, direction, source.new_tensor(-0.5), size - 0.5)
@@ -93,13 +93,14 @@ def _siddon(data, source, pixel, spacing_mm):
     # A ray along a face between two voxels reads the upper one.
     index = (source[:, None] + middle[..., None] * direction[:, None] + 0.5).floor().long()
     i, j, k = torch.minimum(index.clamp(min=0), size - 1).unbind(-1)
-    return (data[:, k, j, i] * t.diff(dim=1)).sum(2) * (direction * spacing_mm).norm(dim=1)
+    return (data[:, k, j, i] * t.diff(dim=1)).sum(2) * (direction * grid[0]).norm(dim=1)
 
 
-def _joseph(data, source, pixel, spacing_mm):
+def _joseph(data, source, pixel, grid):
     """Joseph 1982: one bilinear reading where the ray crosses each slice of its main axis.
 
-    Slice k stands for the slab from k - 1/2 to k + 1/2, of which only the part between source and pixel counts.
+    Slice k stands for the slab from k - 1/2 to k + 1/2, of which only the part between source and pixel counts. Where
+    voxels are sharper than linear, a reading is taken nearer to the voxel's centre than the ray is.
     """
     direction = pixel - source
     main = direction.abs().argmax(dim=1)
@@ -113,12 +114,12 @@ def _joseph(data, source, pixel, spacing_mm):
         ends = torch.stack([start[:, axis, None], start[:, axis, None] + step])
         low, high = ends.amin(0), ends.amax(0)
         share = (torch.minimum(slices + 0.5, high) - torch.maximum(slices - 0.5, low)).clamp(0, 1)
-        length = (d * spacing_mm).norm(dim=1) / step[:, 0].abs()
-        integrals = integrals.index_add(1, chosen, (_sample(data, points) * share).sum(2) * length)
+        length = (d * grid[0]).norm(dim=1) / step[:, 0].abs()
+        integrals = integrals.index_add(1, chosen, (_sample(data, _sharpened(points, grid[1])) * share).sum(2) * length)
     return integrals
 
 
-def _trilinear(data, source, pixel, spacing_mm):
+def _trilinear(data, source, pixel, grid):
     """Equal steps of at most half a voxel along the part of the ray where the volume can be felt."""
     size, direction = torch.tensor(data.shape[:0:-1], device=data.device), pixel - source
     enter, leave = _span(source, direction, source.new_tensor(-1.0), size.to(data))
@@ -126,7 +127,7 @@ def _trilinear(data, source, pixel, spacing_mm):
     middle = (torch.arange(steps, device=data.device).to(data) + 0.5) / steps
     t = enter[:, None] + (leave - enter)[:, None] * middle
     points = source[:, None] + t[..., None] * direction[:, None]
-    return _sample(data, points).sum(2) * (leave - enter) / steps * (direction * spacing_mm).norm(dim=1)
+    return _sample(data, points).sum(2) * (leave - enter) / steps * (direction * grid[0]).norm(dim=1)
 
 
 def _span(source, direction, lower, upper):
@@ -138,6 +139,12 @@ def _span(source, direction, lower, upper):
     enter = torch.where(flat, 0, ends.amin(0)).amax(dim=1).clamp(0, 1)
     leave = torch.where(flat, 1, ends.amax(0)).amin(dim=1).clamp(0, 1)
     return enter, torch.where(missed, enter, torch.maximum(enter, leave))
+
+
+def _sharpened(points, sharpness):
+    """Where linear interpolation gives what voxels of this sharpness have at (i, j, k)."""
+    cell = points.detach().floor()
+    return cell + ((points - cell - 0.5) * sharpness + 0.5).clamp(0, 1)
 
 
 def _sample(data, points):

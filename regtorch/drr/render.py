@@ -43,7 +43,7 @@ def render(
     """
     fused = chosen_backend(volume, parameters, method, backend)
     rays = rays_of(volume, parameters, detector, view)
-    images = project(fused, volume.data, rays, volume.spacing_mm, detector.rows, detector.columns, method)
+    images = project(fused, volume.data, rays, volume.grid, detector.rows, detector.columns, method)
     return _shaped(images, volume, parameters)
 
 
@@ -65,7 +65,7 @@ def render_with_jacobian(
     flat = parameters.detach().reshape(-1, 9)
     rays = rays_of(volume, flat, detector, view)
     by_parameters = ray_jacobian(flat, detector, view, volume.voxel_from_ct).to(rays)
-    place = volume.spacing_mm, detector.rows, detector.columns, method
+    place = volume.grid, detector.rows, detector.columns, method
     images, jacobian = fused.project_with_jacobian(volume.data, rays, by_parameters, *place)
     return _shaped(images, volume, parameters), _shaped(jacobian, volume, parameters)
 

@@ -19,6 +19,8 @@ class Volume:
     coarsening leave it where it is, so that the nine parameters keep their meaning.
     ``unit`` is ``"HU"`` or, after ``attenuation``, ``"per_mm"``. ``name`` says in messages where it came from.
     ``slice_thickness_mm`` is what a DICOM series says of its slices, which may be thinner than their distance.
+    ``sharpness`` (along i, j, k) is how to read between voxels: with 1 a value goes over into the next one's linearly
+    from centre to centre, with s on the middle 1/s of that way, and voxels are constant else.
     """
 
     data: Float[Tensor, "*c d h w"]
@@ -27,6 +29,7 @@ class Volume:
     unit: Literal["HU", "per_mm"] = "HU"
     name: str = "volume"
     slice_thickness_mm: float | None = None
+    sharpness: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @classmethod
     def from_grid(
@@ -48,6 +51,11 @@ class Volume:
         return self.patient_from_voxel[:3, :3].norm(dim=0)
 
     @property
+    def grid(self) -> Float[Tensor, "2 3"]:
+        """What a projector needs to know of the voxels along i, j, k: their size in mm, and ``sharpness``."""
+        return torch.stack([self.spacing_mm, torch.tensor(self.sharpness, dtype=torch.float64)])
+
+    @property
     def voxel_from_ct(self) -> Float[Tensor, "4 4"]:
         """From mm about the centre of the CT, along patient axes, to (i, j, k)."""
         patient_from_ct = torch.eye(4, dtype=torch.float64)
@@ -63,3 +71,10 @@ class Volume:
     def on_grid(self, data: Float[Tensor, "*c d h w"], patient_from_voxel: Float[Tensor, "4 4"]) -> "Volume":
         """Values on another grid in the same patient; the origin of the ``ct`` frame stays."""
         return replace(self, data=data, patient_from_voxel=patient_from_voxel)
+
+    def with_edges(self, width_mm: float) -> "Volume":
+        """The same voxels, but constant up to edges of ``width_mm`` between them, where they are larger than that.
+
+        So a scanner's thick slices, or Siddon's method, see them; infinity makes them linear from centre to centre.
+        """
+        return replace(self, sharpness=tuple(max(1.0, size / width_mm) for size in self.spacing_mm.tolist()))

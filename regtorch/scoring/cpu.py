@@ -19,7 +19,7 @@ def joseph_gram(
     data: Float[Tensor, "d h w"],
     rays: Float[Tensor, "b 12"],
     ray_jacobian: Float[Tensor, "b 12 p"] | None,
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     fixed: FixedGradients,
 ) -> tuple[Float[Tensor, "b 2 m m+2"], Float[Tensor, " b"]]:
     """``similarity.gram.gradient_gram`` of DRRs by Joseph's method and, unless None, of their derivatives."""
@@ -31,7 +31,7 @@ def joseph_gram(
     by_pose = None if ray_jacobian is None else ray_jacobian.contiguous().numpy()
     unit, root = fixed.unit.contiguous().numpy(), fixed.root.contiguous().numpy()
     stacks = prepared(data, twelve, rows, columns)
-    _grams(*stacks, spacing_mm.numpy(), twelve, by_pose, band, unit, root, partial, squares, get_num_threads())
+    _grams(*stacks, grid.flatten().numpy(), twelve, by_pose, band, unit, root, partial, squares, get_num_threads())
     return torch.from_numpy(partial.sum(axis=1)), torch.from_numpy(np.sqrt(squares.sum(axis=1) / (rows * columns)))
 
 

@@ -102,8 +102,8 @@ def _gram(
     fixed: FixedGradients,
 ) -> tuple[Float[Tensor, "b 2 m m+2"], Float[Tensor, " b"]]:
     if chosen is cpu and method == "joseph":
-        return joseph_gram(volume.data, rays, by_free, volume.spacing_mm, fixed)
-    place = volume.spacing_mm, *fixed.root.shape, method
+        return joseph_gram(volume.data, rays, by_free, volume.grid, fixed)
+    place = volume.grid, *fixed.root.shape, method
     if by_free is None:
         images = chosen.project(volume.data, rays, *place)
         if chosen is triton:

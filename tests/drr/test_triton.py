@@ -62,13 +62,13 @@ def _weights(*shape: int) -> torch.Tensor:
 def _expected(method: str, turn: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Images, and the derivatives of their sum with ``_weights`` by the rays and by the voxels: all float64."""
     data, rays = _classes().double().requires_grad_(), _rays(_poses(turn)).requires_grad_()
-    images = reference.project(data, rays, VOLUME.spacing_mm, DETECTOR.rows, DETECTOR.columns, method)
+    images = reference.project(data, rays, VOLUME.grid, DETECTOR.rows, DETECTOR.columns, method)
     by_rays, by_data = torch.autograd.grad((images * _weights(*images.shape)).sum(), (rays, data))
     return images.detach(), by_rays, by_data
 
 
 def _given(turn: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    return _classes().to(DEVICE), _rays(_poses(turn)).to(DEVICE), VOLUME.spacing_mm.to(DEVICE)
+    return _classes().to(DEVICE), _rays(_poses(turn)).to(DEVICE), VOLUME.grid.to(DEVICE)
 
 
 def _assert_poses_agree(found: torch.Tensor, expected: torch.Tensor, parity: float) -> None:
@@ -111,11 +111,11 @@ def test_the_jacobian_is_that_of_the_reference(method):
 
     def exact(pose: torch.Tensor) -> torch.Tensor:
         rays = _rays(pose[None], detector)
-        return reference.project(_classes().double(), rays, VOLUME.spacing_mm, 5, 17, method)[0]
+        return reference.project(_classes().double(), rays, VOLUME.grid, 5, 17, method)[0]
 
     by_parameters = torch.stack([torch.autograd.functional.jacobian(lambda p: _rays(p, detector), p) for p in poses])
     expected = torch.stack([torch.autograd.functional.jacobian(exact, pose, vectorize=True) for pose in poses])
-    given = [t.to(DEVICE) for t in (_classes(), _rays(poses, detector), by_parameters, VOLUME.spacing_mm)]
+    given = [t.to(DEVICE) for t in (_classes(), _rays(poses, detector), by_parameters, VOLUME.grid)]
     images, jacobian = triton.project_with_jacobian(*given, 5, 17, method)
     assert torch.equal(images, triton.project(given[0], given[1], given[3], 5, 17, method))
     for found, right in zip(jacobian.cpu(), expected.movedim(-1, 2), strict=True):
@@ -146,8 +146,8 @@ def test_one_pose_mixes_main_axes():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_detector_of_several_tiles(method):
     rays = _rays(_poses("-j")[1:2], Detector(9, 17, 1.3))
-    found = triton.project(VOLUME.data.to(DEVICE), rays.to(DEVICE), VOLUME.spacing_mm, 9, 17, method)
-    exact = reference.project(VOLUME.data.double(), rays, VOLUME.spacing_mm, 9, 17, method)
+    found = triton.project(VOLUME.data.to(DEVICE), rays.to(DEVICE), VOLUME.grid, 9, 17, method)
+    exact = reference.project(VOLUME.data.double(), rays, VOLUME.grid, 9, 17, method)
     assert found.shape == (1, 1, 9, 17)
     assert relative(found.cpu(), exact) < PARITY
 
@@ -157,8 +157,8 @@ def test_a_detector_of_several_tiles(method):
 def test_volumes_of_one_slice(method, shape):
     volume = random_volume(*shape)
     rays = cone_beam_rays(_poses("+i")[:1], Detector(3, 4, 1.7), "PA", volume.voxel_from_ct)
-    exact = reference.project(volume.data.double(), rays, volume.spacing_mm, 3, 4, method)
-    found = triton.project(volume.data.to(DEVICE), rays.to(DEVICE), volume.spacing_mm, 3, 4, method)
+    exact = reference.project(volume.data.double(), rays, volume.grid, 3, 4, method)
+    found = triton.project(volume.data.to(DEVICE), rays.to(DEVICE), volume.grid, 3, 4, method)
     assert bool(exact.any())
     assert relative(found.cpu(), exact) < PARITY
 

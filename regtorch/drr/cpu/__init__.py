@@ -25,14 +25,14 @@ def why_not(data: Tensor, method: str) -> str:
 def project(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     rows: int,
     columns: int,
     method: str,
 ) -> Float[Tensor, "b classes rows columns"]:
     """Line integrals for twelve numbers per pose."""
     images = _empty(len(rays), data.shape[:-3].numel(), rows, columns)
-    _fill(data, rays, None, spacing_mm, images.numpy(), None, method)
+    _fill(data, rays, None, grid, images.numpy(), None, method)
     return images
 
 
@@ -40,7 +40,7 @@ def project_with_jacobian(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
     ray_jacobian: Float[Tensor, "b 12 p"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     rows: int,
     columns: int,
     method: str,
@@ -49,18 +49,18 @@ def project_with_jacobian(
     images = _empty(len(rays), data.shape[:-3].numel(), rows, columns)
     jacobian = _empty(*images.shape[:2], ray_jacobian.shape[2], rows, columns)
     by_pose = ray_jacobian.contiguous().numpy()
-    _fill(data, rays, by_pose, spacing_mm, images.numpy(), jacobian.numpy(), method)
+    _fill(data, rays, by_pose, grid, images.numpy(), jacobian.numpy(), method)
     return images, jacobian
 
 
-def _fill(data, rays, ray_jacobian, spacing_mm, images, jacobian, method):
-    twelve, spacing = rays.detach().contiguous().numpy(), spacing_mm.numpy()
+def _fill(data, rays, ray_jacobian, grid, images, jacobian, method):
+    twelve, along = rays.detach().contiguous().numpy(), grid.flatten().numpy()
     if method == "joseph":
         stacks = prepared(data, twelve, *images.shape[-2:])
-        joseph_images(*stacks, spacing, twelve, ray_jacobian, images, jacobian, get_num_threads())
+        joseph_images(*stacks, along, twelve, ray_jacobian, images, jacobian, get_num_threads())
     else:
         voxels = _voxels(data)
-        ray_images(method == "siddon", voxels, spacing, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads())
+        ray_images(method == "siddon", voxels, along, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads())
 
 
 def _empty(*shape: int) -> Tensor:
@@ -76,14 +76,14 @@ def _voxels(data: Tensor) -> np.ndarray:
 def pull_back_rays(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     image_gradients: Float[Tensor, "b classes rows columns"],
     method: str,
 ) -> Float[Tensor, "b 12"]:
     """Derivative by the rays of the sum of ``image_gradients`` times images, in float64."""
-    twelve, spacing, weights = (
+    twelve, along, weights = (
         rays.detach().contiguous().numpy(),
-        spacing_mm.numpy(),
+        grid.flatten().numpy(),
         image_gradients.contiguous().numpy(),
     )
     rows, columns = weights.shape[-2:]
@@ -91,31 +91,31 @@ def pull_back_rays(
         tiles = -(-rows // TILE_ROWS) * -(-columns // TILE_COLUMNS)
         partial = np.zeros((len(twelve), tiles, 12))
         stacks = prepared(data, twelve, rows, columns)
-        joseph_pull_back(*stacks, spacing, twelve, weights, partial, get_num_threads())
+        joseph_pull_back(*stacks, along, twelve, weights, partial, get_num_threads())
     else:
         partial = np.zeros((len(twelve), rows, 12))
         voxels = _voxels(data)
-        ray_pull_back(method == "siddon", voxels, spacing, twelve, weights, partial, 16 * get_num_threads())
+        ray_pull_back(method == "siddon", voxels, along, twelve, weights, partial, 16 * get_num_threads())
     return torch.from_numpy(partial.sum(axis=1))
 
 
 def pull_back_data(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     image_gradients: Float[Tensor, "b classes rows columns"],
     method: str,
 ) -> Float[Tensor, "*c d h w"]:
     """Derivative by the voxels of the same sum: the adjoint of projection."""
-    twelve, spacing, weights = (
+    twelve, along, weights = (
         rays.detach().contiguous().numpy(),
-        spacing_mm.numpy(),
+        grid.flatten().numpy(),
         image_gradients.contiguous().numpy(),
     )
     adjoints = np.zeros((_SHARES, *_voxels(data).shape), np.float32)
     if method == "joseph":
-        joseph_adjoint(spacing, twelve, weights, adjoints)
+        joseph_adjoint(along, twelve, weights, adjoints)
     else:
         voxels = _voxels(data)
-        ray_adjoint(method == "siddon", voxels, spacing, twelve, weights, adjoints)
+        ray_adjoint(method == "siddon", voxels, along, twelve, weights, adjoints)
     return torch.from_numpy(adjoints.sum(axis=0)).view_as(data)

@@ -45,10 +45,12 @@ def _spread(volume, spacing, ray, row, column, weight):
         if counted <= 0 or a0 < -1 or b0 < -1 or a0 >= size[ia] or b0 >= size[ib]:
             continue
         at[m] = k
+        fa = min(max((a - a0 - 0.5) * spacing[3 + ia] + 0.5, 0.0), 1.0)
+        fb = min(max((b - b0 - 0.5) * spacing[3 + ib] + 0.5, 0.0), 1.0)
         for corner in range(4):
             at[ia], at[ib] = a0 + (corner & 1), b0 + (corner >> 1)
             if 0 <= at[ia] < size[ia] and 0 <= at[ib] < size[ib]:
-                by_a = a - a0 if corner & 1 else 1 - (a - a0)
-                by_b = b - b0 if corner >> 1 else 1 - (b - b0)
+                by_a = fa if corner & 1 else 1 - fa
+                by_b = fb if corner >> 1 else 1 - fb
                 for c in range(volume.shape[0]):
                     volume[c, at[2], at[1], at[0]] += by_a * by_b * counted * weight[c]

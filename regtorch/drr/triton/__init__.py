@@ -5,7 +5,7 @@
 are all there can be captured in a CUDA graph (after one call, which compiles); every call gives the same bits.
 
 Shared arguments: ``data`` in float32 with axes k, j, i, and one of classes before them or none; ``rays`` of
-``cone_beam_rays`` and ``spacing_mm`` (i, j, k) in float64; ``method`` "joseph", "siddon" or "trilinear".
+``cone_beam_rays`` and ``grid`` of the volume in float64; ``method`` "joseph", "siddon" or "trilinear".
 """
 
 import math
@@ -38,14 +38,14 @@ def why_not(data: Tensor, method: str) -> str:
 def project(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     rows: int,
     columns: int,
     method: str,
 ) -> Float[Tensor, "b classes rows columns"]:
     """Line integrals for twelve numbers per pose."""
     images = data.new_empty(len(rays), data.shape[:-3].numel(), rows, columns)
-    _launch("project", (data, rays, spacing_mm, images), data, images, method)
+    _launch("project", (data, rays, grid, images), data, images, method)
     return images
 
 
@@ -53,7 +53,7 @@ def project_with_jacobian(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
     ray_jacobian: Float[Tensor, "b 12 p"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     rows: int,
     columns: int,
     method: str,
@@ -62,7 +62,7 @@ def project_with_jacobian(
     parameters = ray_jacobian.shape[-1]
     images = data.new_empty(len(rays), data.shape[:-3].numel(), rows, columns)
     jacobian = data.new_empty(*images.shape[:2], parameters, rows, columns)
-    tensors = data, rays, ray_jacobian, spacing_mm, images, jacobian
+    tensors = data, rays, ray_jacobian, grid, images, jacobian
     _launch("project_with_jacobian", tensors, data, images, method, parameters)
     return images, jacobian
 
@@ -70,7 +70,7 @@ def project_with_jacobian(
 def pull_back_rays(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     image_gradients: Float[Tensor, "b classes rows columns"],
     method: str,
 ) -> Float[Tensor, "b 12"]:
@@ -79,14 +79,14 @@ def pull_back_rays(
     Each tile of pixels leaves its own sum, and these are added in the order of the tiles.
     """
     sums = rays.new_zeros(len(rays), _tiles(image_gradients), 12)
-    _launch("pull_back_rays", (data, rays, spacing_mm, image_gradients.to(data), sums), data, image_gradients, method)
+    _launch("pull_back_rays", (data, rays, grid, image_gradients.to(data), sums), data, image_gradients, method)
     return sums.sum(1)
 
 
 def pull_back_data(
     data: Float[Tensor, "*c d h w"],
     rays: Float[Tensor, "b 12"],
-    spacing_mm: Float[Tensor, "3"],
+    grid: Float[Tensor, "2 3"],
     image_gradients: Float[Tensor, "b classes rows columns"],
     method: str,
 ) -> Float[Tensor, "*c d h w"]:
@@ -96,11 +96,11 @@ def pull_back_data(
     bits, whose sum knows no order; the unit is the smallest for which no voxel can overflow.
     """
     # A ray crosses a voxel, or one of trilinear's tents two voxels wide, on less than twice the voxel's diagonal.
-    most = 4 * spacing_mm.norm() * image_gradients.abs().sum(dtype=torch.float64)
+    most = 4 * grid[0].norm() * image_gradients.abs().sum(dtype=torch.float64)
     scale = torch.where(most == 0, 1, torch.exp2(62 - most.log2().ceil()))
     total = torch.zeros_like(data, dtype=torch.int64, memory_format=torch.contiguous_format)
     scaled = (image_gradients.double() * scale).to(torch.float32)
-    _launch("pull_back_data", (total, rays, spacing_mm, scaled), data, image_gradients, method)
+    _launch("pull_back_data", (total, rays, grid, scaled), data, image_gradients, method)
     return (total / scale).to(data.dtype)
 
 

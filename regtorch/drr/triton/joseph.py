@@ -9,7 +9,8 @@ import triton.language as tl
 @triton.jit
 @no_type_check
 def joseph(
-    volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, spacing_i, spacing_j, spacing_k, w, h, d,
+    volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, spacing_i, spacing_j, spacing_k,
+    sharp_i, sharp_j, sharp_k, w, h, d,
     MODE: tl.constexpr,
 ):  # fmt: skip
     """Per channel and pixel: the line integral, and its derivative by source and pixel where ``MODE`` is "gradient".
@@ -62,6 +63,7 @@ def joseph(
     da, db, one_over = slope_a.to(tl.float32), slope_b.to(tl.float32), one_over_along.to(tl.float32)
     mm_a, mm_b = tl.where(main_i, spacing_j, spacing_i), tl.where(main_k, spacing_j, spacing_k)
     mm_m = tl.where(main_k, spacing_k, tl.where(main_j, spacing_j, spacing_i))
+    sharp_a, sharp_b = tl.where(main_i, sharp_j, sharp_i)[None, :], tl.where(main_k, sharp_j, sharp_k)[None, :]
     length = tl.sqrt(da * da * mm_a * mm_a + db * db * mm_b * mm_b + mm_m * mm_m)
     if MODE == "scatter":
         upstream = upstream * length[None, :]
@@ -72,6 +74,10 @@ def joseph(
         ia, ib = (a >> 32).to(tl.int32), (b >> 32).to(tl.int32)
         fa = (a.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0))[None, :]
         fb = (b.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0))[None, :]
+        fa, fb = (fa - 0.5) * sharp_a + 0.5, (fb - 0.5) * sharp_b + 0.5
+        steep_a = tl.where((fa > 0) & (fa < 1), sharp_a, 0.0)
+        steep_b = tl.where((fb > 0) & (fb < 1), sharp_b, 0.0)
+        fa, fb = tl.minimum(tl.maximum(fa, 0.0), 1.0), tl.minimum(tl.maximum(fb, 0.0), 1.0)
         a += step_a
         b += step_b
         share = tl.maximum(tl.minimum(far, k + 0.5) - tl.maximum(near, k - 0.5), 0.0)
@@ -97,8 +103,8 @@ def joseph(
             value = upper + fb * (lower - upper)
             total += share * value
             if MODE == "gradient":
-                by_a = share * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
-                by_b = share * (lower - upper)
+                by_a = share * steep_a * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
+                by_b = share * steep_b * (lower - upper)
                 distance = (k - middle).to(tl.float32)[None, :]
                 sum_a += by_a
                 sum_b += by_b

@@ -19,7 +19,7 @@ _SHAPES = ["w", "h", "d", "rows", "columns", "steps", "parameters"]
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def project(
-    data, rays, spacing, images, w, h, d, rows, columns, steps,
+    data, rays, grid, images, w, h, d, rows, columns, steps,
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
@@ -27,7 +27,7 @@ def project(
     pose, _, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     nothing = tl.zeros([PADDED, TILE_ROWS * TILE_COLUMNS], tl.float32)
     value, _, _, _, _, _, _ = _line(
-        data, rays, spacing, pose, row, column, pixels, channel, channels, nothing, w, h, d, steps, METHOD, "value"
+        data, rays, grid, pose, row, column, pixels, channel, channels, nothing, w, h, d, steps, METHOD, "value"
     )
     at = ((pose * CHANNELS + channel) * rows + row[None, :]) * columns + column[None, :]
     tl.store(images + at, value, mask=channels & pixels[None, :])
@@ -36,7 +36,7 @@ def project(
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def project_with_jacobian(
-    data, rays, ray_jacobian, spacing, images, jacobian, w, h, d, rows, columns, steps, parameters,
+    data, rays, ray_jacobian, grid, images, jacobian, w, h, d, rows, columns, steps, parameters,
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
@@ -44,7 +44,7 @@ def project_with_jacobian(
     pose, _, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     nothing = tl.zeros([PADDED, TILE_ROWS * TILE_COLUMNS], tl.float32)
     value, s_i, s_j, s_k, p_i, p_j, p_k = _line(
-        data, rays, spacing, pose, row, column, pixels, channel, channels, nothing, w, h, d, steps, METHOD, "gradient"
+        data, rays, grid, pose, row, column, pixels, channel, channels, nothing, w, h, d, steps, METHOD, "gradient"
     )
     mask = channels & pixels[None, :]
     image = pose * CHANNELS + channel
@@ -61,7 +61,7 @@ def project_with_jacobian(
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def pull_back_rays(
-    data, rays, spacing, image_gradients, sums, w, h, d, rows, columns, steps,
+    data, rays, grid, image_gradients, sums, w, h, d, rows, columns, steps,
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
@@ -69,7 +69,7 @@ def pull_back_rays(
     pose, tile, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     nothing = tl.zeros([PADDED, TILE_ROWS * TILE_COLUMNS], tl.float32)
     _, s_i, s_j, s_k, p_i, p_j, p_k = _line(
-        data, rays, spacing, pose, row, column, pixels, channel, channels, nothing, w, h, d, steps, METHOD, "gradient"
+        data, rays, grid, pose, row, column, pixels, channel, channels, nothing, w, h, d, steps, METHOD, "gradient"
     )
     at = ((pose * CHANNELS + channel) * rows + row[None, :]) * columns + column[None, :]
     upstream = tl.load(image_gradients + at, mask=channels & pixels[None, :], other=0.0)
@@ -86,7 +86,7 @@ def pull_back_rays(
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def pull_back_data(
-    total, rays, spacing, image_gradients, w, h, d, rows, columns, steps,
+    total, rays, grid, image_gradients, w, h, d, rows, columns, steps,
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
@@ -94,9 +94,7 @@ def pull_back_data(
     pose, _, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     at = ((pose * CHANNELS + channel) * rows + row[None, :]) * columns + column[None, :]
     upstream = tl.load(image_gradients + at, mask=channels & pixels[None, :], other=0.0)
-    _line(
-        total, rays, spacing, pose, row, column, pixels, channel, channels, upstream, w, h, d, steps, METHOD, "scatter"
-    )
+    _line(total, rays, grid, pose, row, column, pixels, channel, channels, upstream, w, h, d, steps, METHOD, "scatter")
 
 
 @triton.jit
@@ -120,7 +118,7 @@ def _tile(
 @triton.jit
 @no_type_check
 def _line(
-    data, rays, spacing, pose, row, column, pixels, channel, channels, upstream, w, h, d, steps,
+    data, rays, grid, pose, row, column, pixels, channel, channels, upstream, w, h, d, steps,
     METHOD: tl.constexpr, MODE: tl.constexpr,
 ):  # fmt: skip
     twelve = rays + pose * 12
@@ -129,10 +127,14 @@ def _line(
     pi = tl.load(twelve + 3) + column * tl.load(twelve + 6) + row * tl.load(twelve + 9)
     pj = tl.load(twelve + 4) + column * tl.load(twelve + 7) + row * tl.load(twelve + 10)
     pk = tl.load(twelve + 5) + column * tl.load(twelve + 8) + row * tl.load(twelve + 11)
-    mm_i, mm_j, mm_k = _number(spacing), _number(spacing + 1), _number(spacing + 2)
+    mm_i, mm_j, mm_k = _number(grid), _number(grid + 1), _number(grid + 2)
     volume = data + channel * (w.to(tl.int64) * h * d)
     if METHOD == "joseph":
-        return joseph(volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, mm_i, mm_j, mm_k, w, h, d, MODE)
+        sharp_i, sharp_j, sharp_k = _number(grid + 3), _number(grid + 4), _number(grid + 5)
+        return joseph(
+            volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, mm_i, mm_j, mm_k, sharp_i, sharp_j, sharp_k,
+            w, h, d, MODE,
+        )  # fmt: skip
     elif METHOD == "siddon":
         return siddon(volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, mm_i, mm_j, mm_k, w, h, d, MODE)
     else:
