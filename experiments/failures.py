@@ -1,0 +1,44 @@
+"""Small pictures of registrations that went wrong, or whose verdict did."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from regtorch.drr import render
+from regtorch.imaging import Radiograph, Volume, attenuation
+from regtorch.imaging.radiograph import level
+from regtorch.plotting import edge_strength
+from regtorch.registration import Registration
+
+FAILED_MM, GOOD_MM = 5.0, 2.0
+"""PDE over which a registration has failed, and under which it should be trusted."""
+
+_PIXELS, _COLOURS = 250, 128
+_FOUND, _TRUE = np.array([1.0, 0.6, 0.1]), np.array([0.0, 0.45, 0.7])
+
+
+def went_wrong(row: Mapping[str, Any]) -> bool:
+    return row["pde_mm"] > FAILED_MM or (row["pde_mm"] < GOOD_MM and row["status"] != "ok")
+
+
+def write_picture(
+    path: Path, ct: Volume, radiograph: Radiograph, result: Registration, true: Float[Tensor, "9"]
+) -> None:
+    """The radiograph with the edges of the bones in orange where they were found, and in blue where they are."""
+    small = level(radiograph, _PIXELS)
+    both = torch.stack([true, result.parameters])
+    moving = render(attenuation(ct), both, small.detector, result.view)
+    grey = small.image.numpy()
+    low, high = np.quantile(grey, (0.005, 0.995))
+    picture = np.clip((grey - low) / max(high - low, 1e-12), 0, 1)[..., None].repeat(3, axis=2)
+    for drr, colour in zip(moving, (_TRUE, _FOUND), strict=True):
+        share = 0.8 * edge_strength(drr).numpy()[..., None]
+        picture = picture * (1 - share) + share * colour
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray((255 * picture).astype(np.uint8)).quantize(_COLOURS).save(path, optimize=True)

@@ -1,0 +1,149 @@
+"""How often the search finds the place from far away, and whether its verdict knows: one row per registration.
+
+    REGTORCH_DATA=... python -m experiments.search [seeds=200] [kinds=[matched]] [shard=0/2] [out=results/search]
+
+Each seed draws a geometry and a rough start; each CT, view and kind of radiograph is registered from there. ``decoys``
+adds images that fit nowhere: their rows are of the kind ``decoy_NAME`` and have no errors. Rows are appended as they
+come; a second start does those that are missing in all tables of the folder, and the process of another ``shard`` may
+work there at the same time. ``failures/`` shows registrations that went wrong, and those whose verdict did.
+``experiments.search_figures`` draws. Columns, besides parameters and errors:
+
+- expected_pde_mm: the PDE that the registration expects of itself, where it tells any
+- within_region: whether the PDE is at most the 95 % bound that it tells, where it tells any
+"""
+
+from pathlib import Path
+from typing import Any
+
+import hydra
+import numba
+import torch
+from hydra.utils import instantiate
+from jaxtyping import Float
+from omegaconf import DictConfig
+from torch import Tensor
+from tqdm import tqdm
+
+from experiments.failures import went_wrong, write_picture
+from experiments.table import accuracy_of, append, cost_of, done, half_range, refuse_to_mix
+from regtorch.errors import RegtorchError
+from regtorch.geometry import KEYS, Detector
+from regtorch.imaging import Radiograph, read_volume
+from regtorch.registration import initial_parameters, register
+from regtorch.simulation import Simulation, draw_parameters
+
+KEY = ("ct", "view", "kind", "seed")
+COLUMNS = (
+    *KEY, *(f"{name}_{key}" for name in ("true", "initial", "found", "error") for key in KEYS),
+    "initial_pde_mm", "pde_mm", "target_error_mm", "expected_pde_mm", "within_region",
+    "similarity", "status", "message", "evaluations", "seconds", "threads", "device", "version",
+)  # fmt: skip
+_DECOY = "decoy_"
+_CASES = ("cts", "views", "kinds", "decoys", "seeds", "first_seed", "shard", "pictures", "threads", "out")
+
+Case = tuple[str, str, str, int]
+
+
+@hydra.main(version_base="1.3", config_path="../conf", config_name="search")
+def main(config: DictConfig) -> None:
+    torch.set_num_threads(config.threads)
+    numba.set_num_threads(config.threads)
+    table, own = table_and_cases(config)
+    folder = Path(config.out)
+    refuse_to_mix(config, folder, _CASES, parts=("radiographs", "images"))
+    made = done(folder, KEY)
+    study = Study(config)
+    with tqdm(own, unit="registration", mininterval=1) as bar:
+        for case in bar:
+            if tuple(map(str, case)) not in made:
+                append(folder / table, study.row(case, bar.set_postfix_str))
+
+
+def table_and_cases(config: DictConfig) -> tuple[str, list[Case]]:
+    """The name of this process's table, and what it is to do: a shard takes a like part of every kind."""
+    for chosen, known in (("kinds", "radiographs"), ("decoys", "images")):
+        if unknown := [name for name in config[chosen] if name not in config[known]]:
+            raise RegtorchError(f"{chosen}=[{unknown[0]}]: expected of {', '.join(config[known])}")
+    kinds = [*config.kinds, *(_DECOY + name for name in config.decoys)]
+    of_seed = [(Path(ct).name, view, kind) for ct in config.cts for view in config.views for kind in kinds]
+    if len(set(of_seed)) < len(of_seed):
+        raise RegtorchError("CTs, views or kinds of the same name: expected each once")
+    seeds = range(config.first_seed, config.first_seed + config.seeds)
+    if config.shard is None:
+        return "registrations.csv", [(*case, seed) for seed in seeds for case in of_seed]
+    number, _, count = str(config.shard).partition("/")
+    if not (number.isdecimal() and count.isdecimal() and int(number) < int(count)):
+        raise RegtorchError(f"shard={config.shard}: expected i/n, i from 0 to n - 1")
+    turns = [(place, case, seed) for seed in seeds for place, case in enumerate(of_seed, seed)]
+    own = [(*case, seed) for place, case, seed in turns if place % int(count) == int(number)]
+    return f"registrations-{number}.csv", own
+
+
+class Study:
+    """The CTs, read once, and what is done with them."""
+
+    def __init__(self, config: DictConfig) -> None:
+        self.config = config
+        self.detector = Detector(**config.detector)
+        self.cts = {Path(path).name: read_volume(path) for path in config.cts}
+
+    def row(self, case: Case, tell: Any = lambda text, refresh: None) -> dict[str, Any]:
+        """Registers one case, and takes a picture of it where that is worth one."""
+        ct, view, kind, seed = case
+        decoy = kind.startswith(_DECOY)
+        truth = self.radiograph(ct, view, self.config.decoy_of if decoy else kind, seed)
+        image = self.decoy(kind.removeprefix(_DECOY), truth, case) if decoy else truth.image
+        radiograph = Radiograph.from_image(image, self.detector)
+        result = register(
+            self.cts[ct],
+            radiograph,
+            view,
+            method=instantiate(self.config.registration, _convert_="all"),
+            free=self.config.dof,
+            initial=self.drawn(ct, view, seed)[1],
+            half_range=3 * half_range(self.config.start),
+            seed=seed,
+            progress=lambda share, what: tell(f"{100 * share:.0f} % {what}", refresh=False),
+        )
+        told = result.to_dict()
+        row = dict.fromkeys(COLUMNS) | dict(zip(KEY, case, strict=True))
+        row |= {key: told.get(key) for key in ("expected_pde_mm", "similarity", "status", "message")}
+        row |= cost_of(result, self.config.threads)
+        if not decoy:
+            row |= accuracy_of(result, truth, self.cts[ct])
+            bound = told.get("pde_95_mm")
+            row["within_region"] = None if bound is None else row["pde_mm"] <= bound
+            pictures = Path(self.config.out) / "failures"
+            if went_wrong(row) and len(list(pictures.glob("*.png"))) < self.config.pictures:
+                name = "_".join([ct.partition(".")[0], view, kind, str(seed)])
+                write_picture(pictures / f"{name}.png", self.cts[ct], radiograph, result, truth.parameters)
+        return row
+
+    def drawn(self, ct: str, view: str, seed: int) -> tuple[Float[Tensor, "9"], Float[Tensor, "9"]]:
+        """The true parameters and where the search starts (mm, rad), the same offsets for any CT."""
+        generator = torch.Generator().manual_seed(seed)
+        errors = torch.randn(9, generator=generator, dtype=torch.float64).clamp(-3, 3) * half_range(self.config.start)
+        middle = initial_parameters(self.cts[ct], self.detector, view)
+        middle[5] += self.config.towards_source_mm
+        true = draw_parameters(middle, half_range(self.config.range), generator)
+        return true, true - errors
+
+    def radiograph(self, ct: str, view: str, kind: str, seed: int) -> Simulation:
+        make = instantiate(self.config.radiographs[kind])
+        return make(self.cts[ct], self.drawn(ct, view, seed)[0], view, detector=self.detector, seed=seed)
+
+    def decoy(self, name: str, right: Simulation, case: Case) -> Float[Tensor, "h w"]:
+        ct, view, _, seed = case
+
+        def other() -> Float[Tensor, "h w"]:
+            names = list(self.cts)
+            if len(names) < 2:
+                raise RegtorchError(f"decoy of another patient than {ct}: expected a second CT in cts=")
+            following = names[(names.index(ct) + 1) % len(names)]
+            return self.radiograph(following, view, self.config.decoy_of, seed).image
+
+        return instantiate(self.config.images[name])(right.image, other, torch.Generator().manual_seed(seed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""Table and figures of the search study, from its rows alone: python -m experiments.search_figures [FOLDER]"""
+
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import seaborn as sns
+
+mpl.use("agg")
+
+_KEY = ["ct", "view", "kind", "seed"]
+_DECOY = "decoy_"
+_FAILED_MM, _GOOD_MM = 5.0, 2.0
+_SHOWN_MM = (1e-3, 1e3)
+_PALETTE = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#000000"]
+
+
+def main(folder: Path) -> None:
+    rows = pd.concat([pd.read_csv(path) for path in sorted(folder.glob("registrations*.csv"))])
+    rows = rows.drop_duplicates(_KEY).sort_values(_KEY, ignore_index=True)
+    rows["ct"] = rows.ct.str.partition(".")[0]
+    decoy = rows.kind.str.startswith(_DECOY)
+    right, decoys = rows[~decoy], rows[decoy]
+    parts = [accuracy_table(right), verdict_table(right), decoy_table(decoys)]
+    note = "PDE in the detector plane, mm; '95 %' is the 95th percentile. All radiographs are simulated.\n"
+    (folder / "table.md").write_text("\n".join([*filter(None, parts), note]))
+    sns.set_theme(style="whitegrid", context="paper", font_scale=1.1)
+    if len(right):
+        pde_figure(right).savefig(folder / "pde.png", dpi=150)
+    if right.expected_pde_mm.notna().any():
+        calibration_figure(right).savefig(folder / "calibration.png", dpi=150)
+
+
+def accuracy_table(rows: pd.DataFrame) -> str:
+    """Markdown: one line per CT, view and kind of radiograph."""
+    header = ["CT", "view", "kind", "n", "initial PDE", "median PDE", "95 %", "worst", f"under {_FAILED_MM:g} mm"]
+    header += ["seconds", "95 %", "evaluations", "statuses"]
+    lines = []
+    for (ct, view, kind), some in rows.groupby(_KEY[:3]):
+        pde = some.pde_mm
+        cells = [ct, view, kind, len(some), f"{some.initial_pde_mm.median():.0f}", f"{pde.median():.3g}"]
+        cells += [f"{pde.quantile(0.95, interpolation='higher'):.3g}", f"{pde.max():.3g}", _share(pde < _FAILED_MM)]
+        cells += [f"{some.seconds.median():.1f}", f"{some.seconds.quantile(0.95):.1f}"]
+        cells += [f"{some.evaluations.median():.0f}", _statuses(some)]
+        lines.append(cells)
+    return _markdown(header, lines)
+
+
+def verdict_table(rows: pd.DataFrame) -> str:
+    """Markdown: what the verdict and the expected PDE were worth, by kind of radiograph and of all."""
+    header = ["kind", f"ok of those over {_FAILED_MM:g} mm", f"not ok of those under {_GOOD_MM:g} mm"]
+    header += ["rank correlation of expected and actual PDE", "within their 95 % region"]
+    groups = [*rows.groupby("kind"), ("all", rows)] if len(rows) else []
+    lines = []
+    for kind, some in groups:
+        ok = some.status == "ok"
+        failed, good = some.pde_mm > _FAILED_MM, some.pde_mm < _GOOD_MM
+        told = some[some.expected_pde_mm.notna()]
+        rank = told.expected_pde_mm.rank().corr(told.pde_mm.rank()) if len(told) > 2 else np.nan
+        inside = some.within_region.dropna().astype(str) == "True"
+        cells = [kind, f"{int((ok & failed).sum())} of {int(failed.sum())}", _share(~ok[good])]
+        lines.append([*cells, "not told" if np.isnan(rank) else f"{rank:.2f}", _share(inside)])
+    return _markdown(header, lines)
+
+
+def decoy_table(rows: pd.DataFrame) -> str:
+    """Markdown: what became of images that fit nowhere."""
+    groups = rows.groupby(_KEY[:3])
+    lines = [[ct, view, kind.removeprefix(_DECOY), len(some), _statuses(some)] for (ct, view, kind), some in groups]
+    return _markdown(["CT", "view", "decoy", "n", "statuses"], lines)
+
+
+def pde_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
+    """Share of the registrations up to each PDE."""
+    grid = sns.displot(
+        data=rows.assign(pde=_shown(rows.pde_mm)), x="pde", hue="kind", row="ct", col="view", kind="ecdf",
+        palette=_palette(rows.kind), log_scale=(True, False), height=2.6, aspect=1.5,
+    )  # fmt: skip
+    grid.refline(x=_FAILED_MM)
+    grid.set_axis_labels("projection distance error (mm)", "share of registrations")
+    grid.set_titles("{row_name}, {col_name}")
+    return grid.figure
+
+
+def calibration_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
+    """The PDE that a registration expects of itself, and the one that it has."""
+    rows = rows[rows.expected_pde_mm.notna()]
+    grid = sns.relplot(
+        data=rows.assign(expected=_shown(rows.expected_pde_mm), pde=_shown(rows.pde_mm)), x="expected", y="pde",
+        col="kind", hue="ct", style="status", palette=_palette(rows.ct), height=3.2, s=30, alpha=0.7,
+    )  # fmt: skip
+    for axes in grid.axes.flat:
+        axes.set(xscale="log", yscale="log")
+        axes.axline((1, 1), (10, 10), color="0.5", linestyle="--", linewidth=1, zorder=0)
+    grid.set_axis_labels("expected projection distance error (mm)", "actual (mm)")
+    grid.set_titles("{col_name}")
+    return grid.figure
+
+
+def _shown(distance: pd.Series) -> pd.Series:
+    """What a logarithmic axis can show; a target behind the source is infinitely far off."""
+    return distance.clip(*_SHOWN_MM)
+
+
+def _palette(names: pd.Series) -> list[str]:
+    return [_PALETTE[number % len(_PALETTE)] for number in range(names.nunique())]
+
+
+def _share(true: pd.Series) -> str:
+    return f"{100 * true.mean():.1f} % of {len(true)}" if len(true) else "none"
+
+
+def _statuses(rows: pd.DataFrame) -> str:
+    return ", ".join(f"{count} {status}" for status, count in rows.status.value_counts().items())
+
+
+def _markdown(header: list[str], lines: list[list[object]]) -> str:
+    """A table, nothing without lines."""
+    if not lines:
+        return ""
+    rows = ["| " + " | ".join(map(str, cells)) + " |" for cells in (header, *lines)]
+    return "\n".join([rows[0], "|" + "---|" * len(header), *rows[1:]]) + "\n"
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("results/search"))
