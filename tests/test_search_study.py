@@ -20,6 +20,7 @@ from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS
 from regtorch.imaging.volume_files import write_volume
 from regtorch.phantom import make_phantom
+from regtorch.registration import Registration
 
 _ROOT = Path(__file__).parent.parent
 _CHEAP = [
@@ -123,6 +124,16 @@ def test_changed_settings_refuse_to_mix_but_kinds_may_be_added(ct, tmp_path):
 def test_what_cannot_be_asked_for_is_refused(ct, tmp_path, wrong):
     with pytest.raises(RegtorchError, match=r"expected"):
         search.table_and_cases(_config(ct, tmp_path, wrong))
+
+
+def test_what_a_registration_tells_of_itself_is_kept(ct, tmp_path, monkeypatch):
+    told = {"expected_pde_mm": 3.5, "pde_95_mm": 1e6}
+    plain = Registration.to_dict
+    monkeypatch.setattr(Registration, "to_dict", lambda self: plain(self) | told)
+    row = search.Study(_config(ct, tmp_path)).row(("one.nii.gz", "PA", "matched", 0))
+    assert (row["expected_pde_mm"], row["within_region"]) == (3.5, True)
+    told["pde_95_mm"] = row["pde_mm"] / 2
+    assert search.Study(_config(ct, tmp_path)).row(("one.nii.gz", "PA", "matched", 0))["within_region"] is False
 
 
 def test_decoys_have_a_status_but_no_errors(ct, tmp_path):
