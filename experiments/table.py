@@ -61,7 +61,7 @@ def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts:
     """
     own = {key: value for key, value in OmegaConf.to_container(config).items() if key not in cases}
     folder.mkdir(parents=True, exist_ok=True)
-    kept = folder / "settings.yaml"
+    kept, before = folder / "settings.yaml", {}
     if any(folder.glob(TABLES)) and kept.exists():
         before = OmegaConf.to_container(OmegaConf.load(kept))
         changed = [key for key in own if key not in parts and own[key] != before.get(key)]
@@ -71,7 +71,8 @@ def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts:
             own[key] = old | own[key]
         if changed:
             raise RegtorchError(f"{folder}: made with another {changed[0]!r}, expected that of {kept} or another out=")
-    kept.write_text(OmegaConf.to_yaml(OmegaConf.create(own)))
+    if own != before:  # two processes may start at once, and one read while the other writes
+        kept.write_text(OmegaConf.to_yaml(OmegaConf.create(own)))
 
 
 def done(folder: Path, key: Iterable[str]) -> set[tuple[str, ...]]:
