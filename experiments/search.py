@@ -101,7 +101,7 @@ class Study:
             method=instantiate(self.config.registration, _convert_="all"),
             free=self.config.dof,
             initial=self.drawn(ct, view, seed)[1],
-            half_range=3 * half_range(self.config.start),
+            half_range=self.config.searched_deviations * half_range(self.config.start),
             seed=seed,
             progress=lambda share, what: tell(f"{100 * share:.0f} % {what}", refresh=False),
         )

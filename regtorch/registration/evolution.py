@@ -11,8 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.optimization import Optimum, cma_es, multi_start
+from regtorch.registration.matcher import Matcher, Tally
 from regtorch.registration.objective import Level
 from regtorch.registration.problem import Found, Problem
+from regtorch.registration.uncertainty import covariance
+from regtorch.similarity import gradient_correlation
+from regtorch.similarity.gram import fixed_gradients
 
 _SMALL = 1e-3
 
@@ -86,12 +90,18 @@ def evolution(
     chosen = [start for start in _distinct(problem, converged, apart_mm)[:finalists] if converged.cost[start] <= worst]
     final = go_on(fine, 2, (0.7, 1.0), converged, chosen)
     order = all_starts.cost.argsort()
+    best = problem.embed(final.x[final.best])
+    spread = None
+    if problem.similarity is gradient_correlation:
+        gradients = fixed_gradients(fine.fixed.image, fine.fixed.weight)
+        spread = covariance(Matcher(problem, fine, gradients, Tally()), best)
     return Found(
-        parameters=problem.embed(final.x[final.best]),
+        parameters=best,
         similarity=-float(final.cost[final.best]),
         starts=problem.embed(all_starts.x[order]),
         start_similarity=-all_starts.cost[order],
         evaluations=int(sum(optimum.evaluations.sum() for optimum in (all_starts, converged, final))),
+        covariance=spread,
     )
 
 

@@ -1,10 +1,11 @@
 """The default search: screening of all shifts at once, then Levenberg-Marquardt from coarse to fine.
 
-Soft tissue guides the search where the radiograph shows it, and bone refines: candidates come from bone alone and from
-all tissue, climb with bone alone from the second level on, and are ranked by both together.
+Soft tissue guides the search where the radiograph shows it; bone refines it, and forgives what bone cannot explain.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -12,12 +13,11 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.imaging import Volume
-from regtorch.optimization.levenberg_marquardt import Ascent, levenberg_marquardt
+from regtorch.registration.matcher import Matcher, Tally
 from regtorch.registration.problem import Found, Problem
 from regtorch.registration.screening import screen
-from regtorch.scoring import gradient_correlations, normal_equations
+from regtorch.registration.uncertainty import covariance
 from regtorch.similarity import gradient_correlation
-from regtorch.similarity.gram import fixed_gradients
 
 
 @dataclass(frozen=True)
@@ -30,25 +30,35 @@ class Stage:
 
 
 _PLACE_MM = 10.0
-_STAGES = (Stage(125, 24, 15), Stage(250, 6, 12), Stage(500, 2, 20))
+_NEAR = 1e-5
+"""First damping of a climb that begins near its end: more would keep SDD and ODD, which hardly matter, from moving."""
+_FLATTEST, _LOSSES, _LEAST_CURVATURE = 2, (0.01, 0.04), 1e-12
+_STAGES = (Stage(125, 12, 12), Stage(250, 3, 10))
 
 
 def hybrid(
     problem: Problem,
     *,
-    poses: int = 2000,
-    first: Stage = Stage(50, 100, 15),
-    stages: tuple[Stage, ...] = _STAGES,
+    poses: int = 500,
+    first: Stage = Stage(50, 40, 12),
+    stages: Sequence[Stage] = _STAGES,
+    finest: Stage = Stage(500, 1, 8),
     voxel_per_pixel: float = 1.3,
+    edges_px: Sequence[float] = (1.0, 0.3),
     trusted_similarity: float = 0.9,
 ) -> Found:
-    """Screen ``poses`` draws for bone alone and for all tissue, climb from the best, keep what explains most.
+    """Screen ``poses`` draws for bone alone and for all tissue, climb from the best, refine what explains most.
 
-    Each tissue's best candidates climb on the first level with that tissue; those that go on are the best ones, but at
-    most three of a place. From there on all climb with bone alone, fewer on each level, and the mean of the
-    similarities of bone and of all tissue ranks them. If all tissue in the end reaches ``trusted_similarity``, and
-    more than bone, it has not moved, and makes the answer. A voxel is ``voxel_per_pixel`` times what a pixel covers in
-    the patient. ``Found.starts`` are the ends of the second level's climbs, by that mean.
+    Each tissue's best candidates climb on the ``first`` level with that tissue; those that go on are the best ones, but
+    at most three of a place. From there on all climb with bone alone, fewer on each level, and the mean of the
+    similarities of bone and of all tissue ranks them. ``Found.starts`` are the ends of the second level's climbs, by
+    that mean. On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is
+    marked down (``explained_weight``); on the second also from places beside it where the similarity hardly falls.
+
+    Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
+    read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
+    edges that look a pixel wide, on the finest level ``edges_px`` wide in turn. If all tissue in the end reaches
+    ``trusted_similarity``, and more than bone, it has not moved, and makes the answer.
 
     Raises ``RegtorchError`` for another similarity than gradient correlation, and for no poses, candidates or stages.
     """
@@ -56,83 +66,130 @@ def hybrid(
         raise RegtorchError("similarity other than gradient correlation: expected that, or the method evolution")
     if not stages or min(poses, *(stage.candidates for stage in (first, *stages))) < 1:
         raise RegtorchError("no poses, stages or candidates: expected at least one of each")
-    total, tally = len(stages) + 3.0, _Tally()
+    tally = Tally()
+
+    def matcher(stage: Stage, tissue: Volume) -> Matcher:
+        return Matcher.of(problem, stage.pixels, voxel_per_pixel, tissue, tally)
+
+    def pyramid(tissue: Volume) -> list[Matcher]:
+        """First and later stages; each volume is made of the next finer one, which is far smaller than the CT."""
+        matchers: list[Matcher] = []
+        for stage in reversed((first, *stages)):
+            matchers.insert(0, matcher(stage, matchers[0].level.volume if matchers else tissue))
+        return matchers
+
     bone, whole = problem.attenuating, problem.whole
     alike = bone.data.shape == whole.data.shape and torch.equal(bone.data, whole.data)
     tissues = (bone,) if alike else (bone, whole)
+    pyramids = [pyramid(tissue) for tissue in tissues]
     candidates = []
-    for number, tissue in enumerate(tissues):
-        problem.progress(number / total, f"screening {poses} poses")
-        matcher = _Matcher(problem, first.pixels, voxel_per_pixel, tissue, tally)
-        screened = screen(problem, matcher.level, poses, (problem.seed + number) % 2**32).parameters
-        tally.evaluations += poses
-        chosen = _distinct(problem, screened, matcher.level.fixed.detector.pixel_mm, first.candidates)
-        climbed = matcher.climb(screened[chosen], first)
-        places = problem.embed(climbed.x[climbed.similarity.argsort(descending=True)])
+    for number, (widest, *_) in enumerate(pyramids):
+        problem.progress(0.2 * number, f"screening {poses} poses")
         goes_on = max(1, stages[0].candidates // len(tissues))
-        candidates.append(places[_distinct(problem, places, _PLACE_MM, goes_on, each=3)])
-    parameters, starts = torch.cat(candidates), None
+        seed = (problem.seed + number) % 2**32
+        candidates.append(_screened(problem, widest, poses, first, goes_on, seed))
+    parameters, starts, edges = torch.cat(candidates), None, torch.inf
     for number, stage in enumerate(stages):
-        problem.progress((number + 2) / total, f"{stage.pixels} pixels, {len(parameters)} candidates")
-        matchers = [_Matcher(problem, stage.pixels, voxel_per_pixel, tissue, tally) for tissue in tissues]
-        climbed = matchers[0].climb(parameters[: stage.candidates], stage)
+        problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
+        matchers = [levels[number + 1].with_edges(edges) for levels in pyramids]
+        climbed = matchers[0].climb(parameters[: stage.candidates], stage.steps)
         parameters = problem.embed(climbed.x)
-        together = sum([matcher.similarity(parameters) for matcher in matchers[1:]], climbed.similarity) / len(tissues)
+        together = sum([m.similarity(parameters) for m in matchers[1:]], climbed.similarity) / len(tissues)
         order = together.argsort(descending=True)
         parameters, together = parameters[order], together[order]
         starts = (parameters, together) if starts is None else starts
-        best, similarity = parameters[0], float(climbed.similarity[order[0]])
-        parameters = parameters[_distinct(problem, parameters, 1.0, len(parameters))]
+        edges = _edges_px(matchers[0], parameters[0])
+        by_bone = matchers[0].with_edges(edges)
+        best = parameters[0] if number else _along_the_flat(by_bone, parameters[0], stage.steps)
+        best = _refined(by_bone, best, stage.steps).parameters
+        rest = _distinct(problem, parameters, _PLACE_MM, len(parameters))[1:]
+        parameters = torch.cat([best[None], parameters[rest]])
+    problem.progress(0.8, f"{finest.pixels} pixels")
+    found = _finished(matcher(finest, bone), best, finest, edges_px)
     if not alike:
-        problem.progress((len(stages) + 2) / total, "all tissue")
-        by_whole = matchers[1].climb(best[None], stages[-1])
-        if float(by_whole.similarity[0]) > max(similarity, trusted_similarity):
-            best, similarity = problem.embed(by_whole.x[0]), float(by_whole.similarity[0])
+        problem.progress(0.9, "all tissue")
+        last = matchers[1].with_edges(edges)
+        by_whole = _refined(last, found.parameters, stages[-1].steps).parameters
+        if float(last.similarity(by_whole[None])[0]) > trusted_similarity:
+            other = _finished(matcher(finest, whole), by_whole, finest, edges_px)
+            found = other if other.similarity > found.similarity else found
     return Found(
-        parameters=best,
-        similarity=similarity,
+        parameters=found.parameters,
+        similarity=found.similarity,
         starts=starts[0],
         start_similarity=starts[1],
         evaluations=tally.evaluations,
+        covariance=found.covariance,
     )
 
 
-@dataclass
-class _Tally:
-    evaluations: int = 0
+def _screened(
+    problem: Problem, matcher: Matcher, poses: int, stage: Stage, goes_on: int, seed: int
+) -> Float[Tensor, "n 9"]:
+    screened = screen(problem, matcher.level, poses, seed).parameters
+    matcher.tally.evaluations += poses
+    chosen = _distinct(problem, screened, matcher.level.fixed.detector.pixel_mm, stage.candidates)
+    climbed = matcher.climb(screened[chosen], stage.steps)
+    places = problem.embed(climbed.x[climbed.similarity.argsort(descending=True)])
+    return places[_distinct(problem, places, _PLACE_MM, goes_on, each=3)]
 
 
-class _Matcher:
-    """One level of the pyramid with one choice of tissue."""
+class _End(NamedTuple):
+    parameters: Float[Tensor, "9"]
+    similarity: float
+    matcher: Matcher
 
-    def __init__(self, problem: Problem, pixels: int, voxel_per_pixel: float, volume: Volume, tally: _Tally) -> None:
-        self.problem, self.tally = problem, tally
-        self.level = problem.level(pixels, voxel_per_pixel, volume)
-        self.gradients = fixed_gradients(self.level.fixed.image, self.level.fixed.weight)
 
-    def similarity(self, parameters: Float[Tensor, "n 9"]) -> Float[Tensor, " n"]:
-        self.tally.evaluations += len(parameters)
-        place = self.level.fixed.detector, self.problem.view, self.gradients
-        return gradient_correlations(self.level.volume, parameters, *place).cpu()
+class _Answer(NamedTuple):
+    parameters: Float[Tensor, "9"]
+    similarity: float
+    covariance: Float[Tensor, "9 9"]
 
-    def climb(self, start: Float[Tensor, "n 9"], stage: Stage) -> Ascent:
-        problem = self.problem
 
-        def equations(values: Float[Tensor, "n d"]) -> tuple[Tensor, ...]:
-            place = self.level.fixed.detector, problem.view, self.gradients
-            found = normal_equations(self.level.volume, problem.embed(values), *place, free=problem.free)
-            return tuple(part.cpu() for part in found)
+def _refined(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> _End:
+    """Where a climb ends that forgives what its beginning does not explain."""
+    forgiving = matcher.forgiving(parameters)
+    climbed = forgiving.climb(parameters[None], steps, _NEAR)
+    return _End(matcher.problem.embed(climbed.x[0]), float(climbed.similarity[0]), forgiving)
 
-        ascent = levenberg_marquardt(
-            equations,
-            start[:, problem.free],
-            lower=problem.lower,
-            upper=problem.upper,
-            scale=1 / problem.sensitivity().clamp(1e-3, 1e6),
-            steps=stage.steps,
-        )
-        self.tally.evaluations += ascent.evaluations
-        return ascent
+
+def _along_the_flat(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:
+    """The best end of climbs from this one's end and from places beside it, where the similarity falls least.
+
+    Source and patient together can move far along the beam and change little: a valley with more than one bottom.
+    """
+    problem, forgiving = matcher.problem, matcher.forgiving(parameters)
+    climbed = forgiving.climb(parameters[None], steps, _NEAR)
+    scale = 1 / problem.sensitivity().clamp(1e-3, 1e6)
+    values, axes = torch.linalg.eigh(climbed.jtj[0] * scale[:, None] * scale)
+    offsets = [torch.zeros_like(scale)]
+    for value, axis in list(zip(values, axes.mT, strict=True))[:_FLATTEST]:
+        for loss in _LOSSES:  # |r|^2 = 4 (1 - similarity)
+            step = (8 * loss / value.clamp_min(_LEAST_CURVATURE)).sqrt() * axis * scale
+            offsets += [step, -step]
+    beside = (climbed.x + torch.stack(offsets)).clamp(problem.lower, problem.upper)
+    ends = forgiving.climb(problem.embed(beside), steps, _NEAR)
+    return problem.embed(ends.x[ends.similarity.argmax()])
+
+
+def _edges_px(matcher: Matcher, parameters: Float[Tensor, "9"]) -> float:
+    """How wide voxels' edges look in the radiograph: as wide as voxels, or a pixel, whichever is more similar here."""
+    linear = matcher.with_edges(torch.inf).forgiving(parameters)
+    constant = linear.with_edges(1.0)
+    return (
+        1.0
+        if float((constant.similarity(parameters[None]) - linear.similarity(parameters[None]))[0]) > 0
+        else torch.inf
+    )
+
+
+def _finished(matcher: Matcher, parameters: Float[Tensor, "9"], stage: Stage, edges_px: Sequence[float]) -> _Answer:
+    """Refined on the finest level: linear, or with sharper and sharper edges."""
+    constant = _edges_px(matcher, parameters) < torch.inf
+    for width in edges_px:
+        end = _refined(matcher.with_edges(width if constant else torch.inf), parameters, stage.steps)
+        parameters = end.parameters
+    return _Answer(parameters, end.similarity, covariance(end.matcher, parameters))
 
 
 def _distinct(

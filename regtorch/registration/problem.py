@@ -47,6 +47,11 @@ class Problem:
     def upper(self) -> Float[Tensor, " d"]:
         return (self.initial + self.half_range)[self.free]
 
+    @property
+    def magnification(self) -> float:
+        """Of the patient's middle in the image, at the start."""
+        return float(self.initial[2] / (self.initial[2] - self.initial[5]))
+
     def embed(self, values: Float[Tensor, "*b d"]) -> Float[Tensor, "*b 9"]:
         """All nine parameters for values of the free ones."""
         parameters = self.initial.expand(*values.shape[:-1], len(NAMES)).clone()
@@ -67,24 +72,27 @@ class Problem:
 
     def level(self, longest: int, voxel_per_pixel: float, volume: Volume | None = None) -> Level:
         """The pair at one level of the pyramid; of the CT what is rendered, or another ``volume`` of it."""
-        magnification = float(self.initial[2] / (self.initial[2] - self.initial[5]))
         return Level.of(
             self.attenuating if volume is None else volume,
             self.radiograph,
             self.view,
             self.similarity,
             longest,
-            magnification,
+            self.magnification,
             voxel_per_pixel,
         )
 
 
 @dataclass(frozen=True)
 class Found:
-    """The answer of a search method; ``starts`` (best first) and their similarities are those it chose the place by."""
+    """The answer of a search method; ``starts`` (best first) and their similarities are those it chose the place by.
+
+    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any.
+    """
 
     parameters: Float[Tensor, "9"]
     similarity: float
     starts: Float[Tensor, "n 9"]
     start_similarity: Float[Tensor, " n"]
     evaluations: int
+    covariance: Float[Tensor, "9 9"] | None = None

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
+from math import nan
 
 import torch
 from jaxtyping import Float
@@ -16,7 +17,8 @@ from regtorch.registration.initial import SEARCH, Point2, Point3, initial_parame
 from regtorch.registration.objective import Similarity
 from regtorch.registration.problem import Found, Problem, Progress
 from regtorch.registration.result import Registration
-from regtorch.registration.verdict import judge
+from regtorch.registration.uncertainty import root_mean_square_mm
+from regtorch.registration.verdict import judge, warnings
 from regtorch.similarity import gradient_correlation
 
 _POINTS = 64
@@ -94,6 +96,7 @@ def register(
     )
     found = method(problem)
     status, message = judge(problem, found)
+    error = nan if found.covariance is None else root_mean_square_mm(problem, found.parameters, found.covariance)
     image_from_patient = pixel_from_patient(found.parameters, detector, view, ct.origin_patient_mm)
     return Registration(
         parameters=found.parameters,
@@ -105,10 +108,14 @@ def register(
         pixel_from_patient=radiograph.stored_from_pixel @ image_from_patient,
         status=status,
         message=message,
+        warnings=warnings(problem, found),
         similarity=found.similarity,
         starts=found.starts,
         start_similarity=found.start_similarity,
         evaluations=found.evaluations,
+        covariance=found.covariance,
+        error_rms_mm=error,
+        origin_patient_mm=ct.origin_patient_mm,
         seconds=time.perf_counter() - began,
         device=str(attenuating.data.device),
         seed=seed,

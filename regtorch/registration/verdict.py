@@ -1,38 +1,94 @@
 """How far a result can be trusted, from what the search itself has seen."""
 
-from regtorch.geometry import KEYS
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.geometry import KEYS, pixel_from_patient, project
 from regtorch.registration.problem import Found, Problem
 from regtorch.registration.result import Status
+from regtorch.registration.uncertainty import root_mean_square_mm
 
-_AGREE_MM = 10.0
+_AGREE_MM = 20.0
 """Starts that project the anatomy this close to each other have found the same place on the first level."""
 
 _LEAST_SIMILARITY = 0.05
-"""Gradient correlation of unrelated images is about 0.01, that of bone alone with a whole radiograph 0.2 to 0.5."""
+"""The best start's, below which nothing matches. Unrelated images and noise have about 0.03."""
 
-_LEAST_GAP = 0.02
+_WEAK_SIMILARITY = 0.25
+"""The best start's, below which a match may be another's anatomy or the right one's mirror image."""
+
+_LEAST_GAP = 0.05
 """How much better than the next best place the answer must be on the first level."""
+
+_MOST_EXPECTED_MM = 3.0
+
+_VERTEBRA_MM = (15.0, 55.0)
+_LARGEST_SDD_DEVIATION = 0.02
 
 
 def judge(problem: Problem, found: Found) -> tuple[Status, str]:
-    """``failed`` where nothing matches; ``doubtful`` where the answer is at a limit, found once, or has a rival."""
-    if not found.similarity >= _LEAST_SIMILARITY:
-        return "failed", f"similarity {found.similarity:.3f} at best: the images do not match anywhere in the range"
+    """``failed`` where nothing matches; ``doubtful`` where the answer is at a limit, weak, found once or rivalled."""
+    best = float(found.start_similarity.max())
+    if not (best >= _LEAST_SIMILARITY and math.isfinite(found.similarity)):
+        return "failed", f"similarity {best:.3f} at best: the images do not match anywhere in the range"
     values, lower, upper = found.parameters[problem.free], problem.lower, problem.upper
     margin = 1e-3 * (upper - lower)
     at_limit = ((values - lower < margin) | (upper - values < margin)).nonzero().flatten().tolist()
     if at_limit:
         names = ", ".join(KEYS[problem.free[i]].rsplit("_", 1)[0] for i in at_limit)
         return "doubtful", f"{names} at the limit of the range searched: the answer may lie beyond"
+    if best < _WEAK_SIMILARITY:
+        return "doubtful", f"similarity {best:.2f} at best: too weak to tell this anatomy from another"
     agree = problem.shift_mm(found.starts, found.parameters) < _AGREE_MM
     count, total = int(agree.sum()), len(agree)
     if total == 1:
         return "doubtful", "found from the only start: nothing else confirms it"
     if count < 2:
         return "doubtful", f"only {count} of {total} starts ended here: another place may match as well"
-    if count == total:
-        return "ok", f"all {total} starts agree"
-    gap = float(found.start_similarity[agree].max() - found.start_similarity[~agree].max())
+    gap = (
+        math.inf
+        if count == total
+        else float(found.start_similarity[agree].max() - found.start_similarity[~agree].max())
+    )
     if gap < _LEAST_GAP:
         return "doubtful", f"another place matches as well to within {gap:.3f} of similarity"
+    if found.covariance is not None:
+        expected = root_mean_square_mm(problem, found.parameters, found.covariance)
+        if not expected <= _MOST_EXPECTED_MM:
+            return "doubtful", f"parts of the image disagree: an error of {expected:.1f} mm in the image is expected"
+    if count == total:
+        return "ok", f"all {total} starts agree"
     return "ok", f"{count} of {total} starts agree, the next best place is {gap:.2f} lower in similarity"
+
+
+def warnings(problem: Problem, found: Found) -> tuple[str, ...]:
+    """What a reader of a result should know besides: the flat direction, and a runner-up one vertebra off."""
+    said = []
+    if found.covariance is not None and {2, 5} <= set(problem.free):
+        deviation = float(found.covariance[2, 2].sqrt())
+        if not deviation <= _LARGEST_SDD_DEVIATION * float(found.parameters[2]):
+            said.append(f"SDD and ODD can hardly be told apart: SDD +- {deviation:.0f} mm, and the patient with it")
+    agree = problem.shift_mm(found.starts, found.parameters) < _AGREE_MM
+    if bool((~agree).any()):
+        rival = found.starts[~agree][found.start_similarity[~agree].argmax()]
+        along = _along_the_spine_mm(problem, found.parameters, rival)
+        if _VERTEBRA_MM[0] <= abs(along) <= _VERTEBRA_MM[1]:
+            where = "up" if along > 0 else "down"
+            said.append(f"the next best place is the anatomy {abs(along):.0f} mm further {where}: one vertebra?")
+    return tuple(said)
+
+
+def _along_the_spine_mm(problem: Problem, parameters: Float[Tensor, "9"], rival: Float[Tensor, "9"]) -> float:
+    """How far along the patient's axis another answer moves the image (up is positive), 0 if it does more than that."""
+    place = problem.radiograph.detector, problem.view, problem.attenuating.origin_patient_mm
+    here, there = (project(pixel_from_patient(p, *place), problem.points) for p in (parameters, rival))
+    above = problem.points + torch.tensor([0.0, 0.0, 10.0], dtype=torch.float64)
+    up = (project(pixel_from_patient(parameters, *place), above) - here).nanmean(0) / 10
+    shift = there - here
+    mean = shift.nanmean(0)
+    along = float(mean @ up / (up @ up))
+    rest = (shift - along * up).norm(dim=1).nanmean()
+    return along if float(rest) < 0.5 * float(mean.norm()) else 0.0

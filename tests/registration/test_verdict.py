@@ -1,12 +1,13 @@
 """How far a result can be trusted, from what the search saw."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from regtorch.registration.problem import Found
-from regtorch.registration.verdict import judge
+from regtorch.registration.verdict import judge, warnings
 
 ALL, PATIENT = list(range(9)), [3, 4, 5, 6, 7, 8]
 
@@ -23,9 +24,42 @@ def _found(pair, starts_at: list[float], start_similarity: list[float], similari
 
 @pytest.mark.parametrize("similarity", [0.049, 0.0, -1.0, -math.inf, math.nan])
 def test_failed_where_nothing_matches(pair, similarity):
-    status, message = judge(pair.problem(ALL), _found(pair, [0, 0], [0.5, 0.5], similarity))
+    status, message = judge(pair.problem(ALL), _found(pair, [0, 0], [similarity, -1]))
     assert status == "failed"
     assert "do not match" in message
+
+
+def test_failed_where_the_similarity_is_no_number(pair):
+    assert judge(pair.problem(ALL), _found(pair, [0, 0], [0.5, 0.5], math.nan))[0] == "failed"
+
+
+def test_doubtful_where_even_the_best_start_is_weak(pair):
+    status, message = judge(pair.problem(ALL), _found(pair, [0, 0], [0.2, 0.2]))
+    assert status == "doubtful"
+    assert "too weak" in message
+
+
+def test_doubtful_where_the_image_disagrees_with_itself(pair):
+    found = replace(_found(pair, [0, 0], [0.5, 0.5]), covariance=torch.eye(9, dtype=torch.float64))
+    assert judge(pair.problem(ALL), replace(found, covariance=1e-6 * found.covariance))[0] == "ok"
+    status, message = judge(pair.problem(ALL), found)
+    assert status == "doubtful"
+    assert "parts of the image disagree" in message
+
+
+def test_warns_of_the_flat_direction_and_of_a_runner_up_one_vertebra_off(pair):
+    problem = pair.problem(ALL)
+    spread = torch.zeros(9, 9, dtype=torch.float64)
+    found = replace(_found(pair, [0, 0], [0.5, 0.4]), covariance=spread)
+    assert warnings(problem, found) == ()
+    spread[2, 2] = 60**2
+    assert "SDD +- 60 mm" in warnings(problem, replace(found, covariance=spread))[0]
+    starts = found.starts.clone()
+    starts[1, 4] += 30  # mm up
+    (warning,) = warnings(problem, replace(found, covariance=None, starts=starts))
+    assert "30 mm further up: one vertebra?" in warning
+    starts[1, 3] += 60
+    assert warnings(problem, replace(found, covariance=None, starts=starts)) == ()
 
 
 def test_doubtful_at_the_limit_of_the_range(pair):

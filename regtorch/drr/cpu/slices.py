@@ -1,6 +1,9 @@
 """The volume as Joseph's method reads it: slices across a main axis, four neighbours in one read, empty parts known."""
 
+from typing import no_type_check
+
 import numpy as np
+from numba import njit, prange
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
@@ -9,6 +12,9 @@ BLOCK = 4
 
 BORDER = 2
 """Voxels of air around a slice: what is read for a ray outside has neither value nor slope."""
+
+_SLICES_AT_ONCE = 16
+"""Neighbours along the axis that lies contiguous in memory come in one line of a cache, whichever axis that is."""
 
 _prepared = WeakTensorKeyDictionary()
 
@@ -19,7 +25,8 @@ def slices_across(data: Tensor, axis: int) -> Slices:
     """``data`` [d, h, w] or [c, d, h, w] across axis i, j or k (0, 1, 2), kept as long as the tensor lives unchanged.
 
     First, groups [c, n, cells]: a complex number of 16 bytes holds the four voxels (b, a), (b + 1, a), (b, a + 1),
-    (b + 1, a + 1) of a slice with a border of air. Second, tables of what is occupied, ``_occupancy``. Third, the size
+    (b + 1, a + 1) of a slice with a border of air. Second, summed-area tables over blocks of cells between
+    four voxels, 1 where any of these is not zero. Third, the size
     of a slice with its border: along a, along b.
     """
     version, kept = _prepared.get(data, (None, {}))
@@ -30,30 +37,44 @@ def slices_across(data: Tensor, axis: int) -> Slices:
         _prepared[data] = (data._version, kept)
     if axis not in kept:
         voxels = data.detach().reshape(-1, *data.shape[-3:]).numpy()
-        across = np.moveaxis(voxels, 3 - axis, 1)
-        kept[axis] = _stacked(across)
+        kept[axis] = _stacked(np.moveaxis(voxels, 3 - axis, 1))
     return kept[axis]
 
 
 def _stacked(across: np.ndarray) -> Slices:
     c, n, h, w = across.shape
-    pairs = np.zeros((c, n, h + 2 * BORDER, w + 2 * BORDER, 2), np.float32)
-    pairs[:, :, BORDER : h + BORDER, BORDER : w + BORDER, 0] = across
-    pairs[:, :, :-1, :, 1] = pairs[:, :, 1:, :, 0]
+    pairs = np.empty((c, n, h + 2 * BORDER, w + 2 * BORDER, 2), np.float32)
+    blocks = np.zeros((c, n, -(-(h + 2 * BORDER - 1) // BLOCK) + 1, -(-(w + 2 * BORDER - 1) // BLOCK) + 1), np.int32)
+    _interleave(across, pairs, blocks)
     strides = (*pairs.strides[:2], pairs.itemsize * 2)  # each group shares half of its bytes with the next
     groups = np.ndarray((c, n, pairs[0, 0, ..., 0].size - 1), np.complex128, buffer=pairs.data, strides=strides)
-    return groups, _occupancy(pairs[..., 0]), np.array(pairs.shape[3:1:-1])
+    return groups, blocks.cumsum(axis=2, dtype=np.int32).cumsum(axis=3, dtype=np.int32), np.array(pairs.shape[3:1:-1])
 
 
-def _occupancy(slices: np.ndarray) -> np.ndarray:
-    """Per slice, a summed-area table over blocks of cells between four voxels: 1 where any of these is not zero."""
-    occupied = slices != 0
-    cells = occupied[..., :-1, :-1] | occupied[..., 1:, :-1] | occupied[..., :-1, 1:] | occupied[..., 1:, 1:]
-    c, n, h, w = cells.shape
-    cells = np.pad(cells, ((0, 0), (0, 0), (0, -h % BLOCK), (0, -w % BLOCK)))
-    blocks = cells.reshape(c, n, cells.shape[2] // BLOCK, BLOCK, -1, BLOCK).any(axis=(3, 5))
-    table = blocks.cumsum(axis=2, dtype=np.int32).cumsum(axis=3, dtype=np.int32)
-    return np.pad(table, ((0, 0), (0, 0), (1, 0), (1, 0)))
+@njit(parallel=True, nogil=True, cache=True)
+@no_type_check
+def _interleave(across, pairs, blocks):
+    """Each slice with its border of air, interleaved with its next row; and where blocks of cells hold anything.
+
+    A cell lies between four voxels, and belongs to a block one row and one column further on in ``blocks``, so that
+    these become summed-area tables with a first row and column of zeros.
+    """
+    c, n, h, w = across.shape
+    for chunk in prange((n + _SLICES_AT_ONCE - 1) // _SLICES_AT_ONCE):
+        some = range(chunk * _SLICES_AT_ONCE, min((chunk + 1) * _SLICES_AT_ONCE, n))
+        for channel in range(c):
+            pairs[channel, some.start : some.stop] = 0
+            for row in range(h):
+                for k in some:
+                    for column in range(w):
+                        value = across[channel, k, row, column]
+                        if value != 0:
+                            b, a = row + BORDER, column + BORDER
+                            pairs[channel, k, b, a, 0] = value
+                            pairs[channel, k, b - 1, a, 1] = value
+                            for cell in range(4):
+                                above, left = (b - (cell >> 1)) // BLOCK, (a - (cell & 1)) // BLOCK
+                                blocks[channel, k, above + 1, left + 1] = 1
 
 
 def prepared(data: Tensor, rays: np.ndarray, rows: int, columns: int) -> tuple[tuple, tuple, tuple]:

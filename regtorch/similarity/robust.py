@@ -1,0 +1,39 @@
+"""Which pixels of a radiograph a DRR explains, and how little the others should count."""
+
+import torch
+from jaxtyping import Float
+from kornia.filters import gaussian_blur2d
+from torch import Tensor
+
+from regtorch.similarity.gradients import image_gradients
+
+_NOTHING = 1e-6
+"""Share of the energy that counts as no residual: rounding."""
+
+
+def explained_weight(
+    moving: Float[Tensor, "h w"],
+    fixed: Float[Tensor, "h w"],
+    weight: Float[Tensor, "h w"],
+    *,
+    width_px: float = 1.5,
+    floor: float = 0.03,
+) -> Float[Tensor, "h w"]:
+    """``weight`` times floor / (floor + e), e the residual of the gradients' energy about a pixel over its mean.
+
+    What is left of the fixed image's gradients after the moving image's, fitted to them by least squares, is squared
+    and averaged over ``width_px`` (standard deviation). It is the variance that a pixel's gradients have for a reason
+    that no pose can mend: a wire, a letter, an organ that has moved, few photons. Weighing by its inverse is one step
+    of iteratively reweighted least squares; where all is explained alike, all counts alike.
+    """
+    total = weight.sum().clamp_min(torch.finfo(weight.dtype).tiny)
+    energy, whole = torch.zeros_like(fixed), 0
+    for m, f in zip(image_gradients(moving[None]), image_gradients(fixed[None]), strict=True):
+        m, f = (g[0] - (g[0] * weight).sum() / total for g in (m, f))
+        gain = (m * f * weight).sum() / (m.square() * weight).sum().clamp_min(torch.finfo(weight.dtype).tiny)
+        energy += (f - gain * m).square()
+        whole = whole + (f.square() * weight).sum() / total
+    size = 2 * int(3 * width_px) + 1
+    energy = gaussian_blur2d(energy[None, None], (size, size), (width_px, width_px), "replicate")[0, 0]
+    mean = torch.maximum((energy * weight).sum() / total, _NOTHING * whole)
+    return weight * floor / (floor + energy / mean.clamp_min(torch.finfo(weight.dtype).tiny))
