@@ -57,8 +57,8 @@ def hybrid(
 
     Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
-    edges that look a pixel wide, on the finest level ``edges_px`` wide in turn. If all tissue in the end reaches
-    ``trusted_similarity``, and more than bone, it has not moved, and makes the answer.
+    edges that look a pixel wide, on the finest level ``edges_px`` wide in turn. If in the end all tissue is more
+    similar than ``trusted_similarity``, and than bone, it has not moved, and makes the answer.
 
     Raises ``RegtorchError`` for another similarity than gradient correlation, and for no poses, candidates or stages.
     """
@@ -109,9 +109,8 @@ def hybrid(
     if not alike:
         problem.progress(0.9, "all tissue")
         last = matchers[1].with_edges(edges)
-        by_whole = _refined(last, found.parameters, stages[-1].steps).parameters
-        if float(last.similarity(by_whole[None])[0]) > trusted_similarity:
-            other = _finished(matcher(finest, whole), by_whole, finest, edges_px)
+        if float(last.similarity(found.parameters[None])[0]) > trusted_similarity:
+            other = _finished(matcher(finest, whole), found.parameters, finest, edges_px)
             found = other if other.similarity > found.similarity else found
     return Found(
         parameters=found.parameters,

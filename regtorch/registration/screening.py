@@ -16,6 +16,7 @@ from regtorch.similarity.gradients import gradient_weight, image_gradients
 
 _SHIFTED = (3, 4)
 _LEAST_ENERGY = 0.1
+_MOST_MAGNIFIED = 1.3
 _POSES_AT_ONCE = 64
 _PIXELS_AT_ONCE = 1 << 21
 
@@ -85,8 +86,8 @@ def _magnification(parameters: Float[Tensor, "*b 9"]) -> Float[Tensor, "*b"]:
 
 
 def _margins(problem: Problem, detector: Detector, draws: Float[Tensor, "n 9"]) -> tuple[int, int]:
-    """How many columns and rows the anatomy may move to either side, at up to twice the start's magnification."""
-    most = min(float(_magnification(draws).max()), 2 * float(_magnification(problem.initial)))
+    """How many columns and rows the anatomy may move to either side, at up to ``_MOST_MAGNIFIED`` of the start's magnification."""
+    most = min(float(_magnification(draws).max()), _MOST_MAGNIFIED * float(_magnification(problem.initial)))
     across = most * problem.half_range[list(_SHIFTED)] / detector.pixel_mm
     margins = [math.ceil(float(n)) if p in problem.free else 0 for p, n in zip(_SHIFTED, across, strict=True)]
     return margins[0], margins[1]

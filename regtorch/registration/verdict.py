@@ -17,10 +17,10 @@ _AGREE_MM = 20.0
 _LEAST_SIMILARITY = 0.05
 """The best start's, below which nothing matches. Unrelated images and noise have about 0.03."""
 
-_WEAK_SIMILARITY = 0.25
+_WEAK_SIMILARITY = 0.28
 """The best start's, below which a match may be another's anatomy or the right one's mirror image."""
 
-_LEAST_GAP = 0.05
+_LEAST_GAP = 0.02
 """How much better than the next best place the answer must be on the first level."""
 
 _MOST_EXPECTED_MM = 3.0
