@@ -4,6 +4,7 @@ import inspect
 from pathlib import Path
 
 import pytest
+from hydra import compose, initialize_config_dir
 from hydra.utils import get_method, instantiate
 from omegaconf import OmegaConf
 
@@ -28,6 +29,15 @@ def test_component_lists_all_options_with_their_defaults(path: Path) -> None:
             assert getattr(value, "func", value) is default
         else:
             assert (tuple(value) if isinstance(value, list) else value) == default
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in (_CONF / "registration").glob("*.yaml")))
+def test_every_method_can_be_chosen_for_a_study(name: str) -> None:
+    with initialize_config_dir(str(_CONF), version_base="1.3"):
+        config = compose("search", overrides=[f"registration={name}", "cts=[]"])
+    made = instantiate(config.registration, _convert_="all")
+    options = inspect.signature(made.func).parameters
+    assert set(made.keywords) <= set(options)
 
 
 def test_there_are_components() -> None:

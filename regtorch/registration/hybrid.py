@@ -3,7 +3,7 @@
 Soft tissue guides the search where the radiograph shows it; bone refines it, and forgives what bone cannot explain.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,9 +13,10 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.imaging import Volume
-from regtorch.registration.matcher import Matcher, Tally
+from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
+from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import Found, Problem
-from regtorch.registration.screening import screen
+from regtorch.registration.screening import Candidates, screen
 from regtorch.registration.uncertainty import covariance
 from regtorch.similarity import gradient_correlation
 
@@ -46,6 +47,9 @@ def hybrid(
     voxel_per_pixel: float = 1.3,
     edges_px: Sequence[float] = (1.0, 0.3),
     trusted_similarity: float = 0.9,
+    soft_tissue: bool = True,
+    screening: Callable[..., Candidates] = screen,
+    climb: Climb = levenberg_marquardt,
 ) -> Found:
     """Screen ``poses`` draws for bone alone and for all tissue, climb from the best, refine what explains most.
 
@@ -60,6 +64,9 @@ def hybrid(
     edges that look a pixel wide, on the finest level ``edges_px`` wide in turn. If in the end all tissue is more
     similar than ``trusted_similarity``, and than bone, it has not moved, and makes the answer.
 
+    For ablations: without ``soft_tissue`` bone does all; ``screening`` may be ``screen_one_by_one``, and ``climb`` be
+    ``optimization.evolve``, which knows no derivatives.
+
     Raises ``RegtorchError`` for another similarity than gradient correlation, and for no poses, candidates or stages.
     """
     if problem.similarity is not gradient_correlation:
@@ -69,7 +76,7 @@ def hybrid(
     tally = Tally()
 
     def matcher(stage: Stage, tissue: Volume) -> Matcher:
-        return Matcher.of(problem, stage.pixels, voxel_per_pixel, tissue, tally)
+        return Matcher.of(problem, stage.pixels, voxel_per_pixel, tissue, tally, climb)
 
     def pyramid(tissue: Volume) -> list[Matcher]:
         """First and later stages; each volume is made of the next finer one, which is far smaller than the CT."""
@@ -79,7 +86,7 @@ def hybrid(
         return matchers
 
     bone, whole = problem.attenuating, problem.whole
-    alike = bone.data.shape == whole.data.shape and torch.equal(bone.data, whole.data)
+    alike = not soft_tissue or (bone.data.shape == whole.data.shape and torch.equal(bone.data, whole.data))
     tissues = (bone,) if alike else (bone, whole)
     pyramids = [pyramid(tissue) for tissue in tissues]
     candidates = []
@@ -87,7 +94,7 @@ def hybrid(
         problem.progress(0.2 * number, f"screening {poses} poses")
         goes_on = max(1, stages[0].candidates // len(tissues))
         seed = (problem.seed + number) % 2**32
-        candidates.append(_screened(problem, widest, poses, first, goes_on, seed))
+        candidates.append(_screened(problem, widest, screening, poses, first, goes_on, seed))
     parameters, starts, edges = torch.cat(candidates), None, torch.inf
     for number, stage in enumerate(stages):
         problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
@@ -123,9 +130,15 @@ def hybrid(
 
 
 def _screened(
-    problem: Problem, matcher: Matcher, poses: int, stage: Stage, goes_on: int, seed: int
+    problem: Problem,
+    matcher: Matcher,
+    screening: Callable[..., Candidates],
+    poses: int,
+    stage: Stage,
+    goes_on: int,
+    seed: int,
 ) -> Float[Tensor, "n 9"]:
-    screened = screen(problem, matcher.level, poses, seed).parameters
+    screened = screening(problem, matcher.level, poses, seed).parameters
     matcher.tally.evaluations += poses
     chosen = _distinct(problem, screened, matcher.level.fixed.detector.pixel_mm, stage.candidates)
     climbed = matcher.climb(screened[chosen], stage.steps)

@@ -1,5 +1,6 @@
 """One level of the pyramid with one choice of tissue: how similar poses are, and the way up."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from jaxtyping import Float
@@ -13,6 +14,8 @@ from regtorch.registration.problem import Problem
 from regtorch.scoring import gradient_correlations, normal_equations
 from regtorch.similarity.gram import FixedGradients, fixed_gradients
 from regtorch.similarity.robust import explained_weight
+
+Climb = Callable[..., Ascent]
 
 
 @dataclass
@@ -30,11 +33,20 @@ class Matcher:
     level: Level
     gradients: FixedGradients
     tally: Tally = field(repr=False)
+    optimizer: Climb = levenberg_marquardt
 
     @classmethod
-    def of(cls, problem: Problem, pixels: int, voxel_per_pixel: float, volume: Volume, tally: Tally) -> "Matcher":
+    def of(
+        cls,
+        problem: Problem,
+        pixels: int,
+        voxel_per_pixel: float,
+        volume: Volume,
+        tally: Tally,
+        optimizer: Climb = levenberg_marquardt,
+    ) -> "Matcher":
         level = problem.level(pixels, voxel_per_pixel, volume)
-        return cls(problem, level, fixed_gradients(level.fixed.image, level.fixed.weight), tally)
+        return cls(problem, level, fixed_gradients(level.fixed.image, level.fixed.weight), tally, optimizer)
 
     def similarity(self, parameters: Float[Tensor, "n 9"]) -> Float[Tensor, " n"]:
         """Float64, on the CPU."""
@@ -43,7 +55,7 @@ class Matcher:
         return gradient_correlations(self.level.volume, parameters, *place).cpu()
 
     def climb(self, start: Float[Tensor, "n 9"], steps: int, damping: float = 1e-2) -> Ascent:
-        """At most ``steps`` of Levenberg-Marquardt by what is free; parameters are scaled by what they move."""
+        """At most ``steps`` of the optimiser by what is free; parameters are scaled by what they move."""
         problem = self.problem
 
         def equations(values: Float[Tensor, "n d"]) -> tuple[Tensor, ...]:
@@ -51,7 +63,7 @@ class Matcher:
             found = normal_equations(self.level.volume, problem.embed(values), *place, free=problem.free)
             return tuple(part.cpu() for part in found)
 
-        ascent = levenberg_marquardt(
+        ascent = self.optimizer(
             equations,
             start[:, problem.free],
             lower=problem.lower,

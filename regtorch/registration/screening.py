@@ -71,8 +71,19 @@ def screen(problem: Problem, level: Level, poses: int, seed: int, peaks: int = 2
     return Candidates(parameters[order], similarity[order])
 
 
-def _draws(problem: Problem, poses: int, seed: int) -> Float[Tensor, "n 9"]:
-    kept = [i for i, p in enumerate(problem.free) if p not in _SHIFTED]
+def screen_one_by_one(problem: Problem, level: Level, poses: int, seed: int) -> Candidates:
+    """As ``screen``, but each of ``poses`` draws over all free parameters tells of itself alone: what shifts are worth.
+
+    The similarity is exact.
+    """
+    draws = _draws(problem, poses, seed, shifted=())
+    similarity = level.similarities(draws).double()
+    order = similarity.argsort(descending=True)
+    return Candidates(draws[order], similarity[order])
+
+
+def _draws(problem: Problem, poses: int, seed: int, shifted: tuple[int, ...] = _SHIFTED) -> Float[Tensor, "n 9"]:
+    kept = [i for i, p in enumerate(problem.free) if p not in shifted]
     poses = poses if kept else 1
     unit = SobolEngine(max(1, len(kept)), scramble=True, seed=seed).draw(poses, dtype=torch.float64)
     values = problem.initial[problem.free].expand(poses, -1).clone()
@@ -86,7 +97,7 @@ def _magnification(parameters: Float[Tensor, "*b 9"]) -> Float[Tensor, "*b"]:
 
 
 def _margins(problem: Problem, detector: Detector, draws: Float[Tensor, "n 9"]) -> tuple[int, int]:
-    """How many columns and rows the anatomy may move to either side, at up to ``_MOST_MAGNIFIED`` of the start's magnification."""
+    """How many columns and rows the anatomy may move to either side, magnified up to so much more than at the start."""
     most = min(float(_magnification(draws).max()), _MOST_MAGNIFIED * float(_magnification(problem.initial)))
     across = most * problem.half_range[list(_SHIFTED)] / detector.pixel_mm
     margins = [math.ceil(float(n)) if p in problem.free else 0 for p, n in zip(_SHIFTED, across, strict=True)]

@@ -9,16 +9,19 @@ import torch
 from regtorch.evaluation import projection_distances
 from regtorch.geometry import pixel_from_patient
 from regtorch.imaging import Radiograph
+from regtorch.optimization.evolve import evolve
 from regtorch.registration import register
 from regtorch.registration.hybrid import Stage, hybrid
-from regtorch.registration.screening import screen
+from regtorch.registration.screening import screen, screen_one_by_one
 from regtorch.simulation import simulate
 
 from .conftest import DETECTOR
 
 FAR = torch.tensor([20.0, -15, 60, 90, -70, 60, *map(math.radians, (5, -6, 4))], dtype=torch.float64)
 HALF_RANGE = torch.tensor([75.0, 75, 150, 150, 150, 150, *[math.radians(12)] * 3], dtype=torch.float64)
-SMALL = partial(hybrid, poses=400, first=Stage(40, 24, 12), stages=(Stage(60, 8, 12), Stage(100, 2, 20)))
+SMALL = partial(
+    hybrid, poses=400, first=Stage(40, 24, 12), stages=(Stage(60, 8, 12), Stage(80, 2, 10)), finest=Stage(100, 1, 8)
+)
 
 
 def _pde_mm(pair, parameters) -> float:
@@ -69,6 +72,26 @@ def test_what_is_frozen_stays(pair, free, moving):
     settings = {"initial": pair.initial, "half_range": HALF_RANGE}
     found = register(pair.ct, pair.radiograph, "PA", method=SMALL, free=free, **settings)
     assert (found.parameters != pair.initial).nonzero().flatten().tolist() == moving
+
+
+@pytest.mark.parametrize(
+    "without",
+    [
+        {"soft_tissue": False},
+        {"screening": screen_one_by_one},
+        {"climb": evolve, "poses": 50, "first": Stage(30, 3, 6)},
+    ],
+    ids=["soft tissue", "shifts", "derivatives"],
+)
+def test_each_ingredient_can_be_left_out(pair, without):
+    """From near by: what each is worth from afar is for a study to say."""
+    half_range = torch.tensor([20.0, 20, 30, 20, 20, 30, *[math.radians(3)] * 3], dtype=torch.float64)
+    method = partial(SMALL, **without)
+    found = register(
+        pair.ct, pair.radiograph, "PA", method=method, initial=pair.truth.parameters + FAR / 8, half_range=half_range
+    )
+    assert _pde_mm(pair, found.parameters) < 1
+    assert 0 < found.covariance.diagonal().max() < 1e4
 
 
 def test_the_same_seed_gives_the_same_result(pair):
