@@ -3,7 +3,7 @@
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from regtorch import __version__
@@ -74,10 +74,7 @@ def parser() -> argparse.ArgumentParser:
     add("--columns", type=_SIDE, default=500, metavar="N", help="of the detector (%(default)s)")
     add("--pixel-mm", type=_PIXEL_MM, default=0.7, metavar="MM", help="of the detector (%(default)s)")
     add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance, middle of its range (1000)")
-    for what in ("source", "patient"):
-        name, text = f"--{what}-range-mm", f"half range of the {what}'s position about the protocol's (25 25 50)"
-        add(name, type=_HALF_RANGE_MM, nargs=3, default=(25, 25, 50), metavar=("X", "Y", "Z"), help=text)
-    add("--rotation-range-deg", type=_number(0, 180), default=5, metavar="DEG", help="half range of each angle (5)")
+    _add_ranges(add, "drawn about the protocol's", (25, 25, 50), (25, 25, 50), 5)
     add("--threshold-hu", type=_COORDINATE, metavar="HU", help="render only what is above (default: the whole CT)")
     add("--photons", type=_number(1, 1e12), metavar="N", help="per pixel of the open beam: adds quantum noise")
     add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} for truth.json (default: points on the bones)")
@@ -93,6 +90,7 @@ def parser() -> argparse.ArgumentParser:
     add("--method", default="hybrid", choices=("hybrid", "cmaes", "pycma"), help=text)
     add("--pixel-mm", type=_PIXEL_MM, metavar="MM", help="pixel size; overrules the file's")
     add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance to begin with (the file's, else 1000)")
+    _add_ranges(add, "searched about the start, 0 to freeze", (75, 75, 150), (75, 75, 150), 12)
     add("--landmark-ct", type=_COORDINATE, nargs=3, metavar=("X", "Y", "Z"), help="a point of the CT, LPS mm ...")
     where = ("COLUMN", "ROW")
     add("--landmark-radiograph", type=_COORDINATE, nargs=2, metavar=where, help="... and the pixel of the file there")
@@ -120,6 +118,15 @@ def _command(commands: Any, name: str, text: str) -> Callable[..., Any]:
     parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     parser.set_defaults(command=name)
     return parser.add_argument
+
+
+def _add_ranges(add: Callable[..., Any], what: str, source: Sequence[int], patient: Sequence[int], deg: int) -> None:
+    for name, default in (("source", source), ("patient", patient)):
+        text = f"half range of the {name}'s position {what} ({' '.join(map(str, default))})"
+        kind = {"type": _HALF_RANGE_MM, "nargs": 3, "metavar": ("X", "Y", "Z")}
+        add(f"--{name}-range-mm", **kind, default=default, help=text)
+    text = f"half range of each angle {what} ({deg})"
+    add("--rotation-range-deg", type=_number(0, 180), default=deg, metavar="DEG", help=text)
 
 
 def _add_seed_and_threads(add: Callable[..., Any]) -> None:

@@ -84,14 +84,13 @@ def _simulate(options: argparse.Namespace) -> int:
 
     _use_threads(options.threads)
     detector = Detector(options.rows, options.columns, options.pixel_mm)
-    half_range = [*options.source_range_mm, *options.patient_range_mm] + [math.radians(options.rotation_range_deg)] * 3
     name = f"radiograph.{options.format}"
     with output_folder(options.out, (name, "truth.json")) as folder:
         ct = read_volume(options.ct)
         targets = read_points(options.targets) if options.targets else None
         middle = initial_parameters(ct, detector, options.view, sdd_mm=options.sdd_mm)
         generator = torch.Generator().manual_seed(options.seed)
-        parameters = draw_parameters(middle, torch.tensor(half_range), generator)
+        parameters = draw_parameters(middle, _half_range(options), generator)
         check_in_front(ct, parameters, options.view)
         simulation = simulate(
             ct, parameters, options.view, detector=detector, threshold_hu=options.threshold_hu,
@@ -101,6 +100,14 @@ def _simulate(options: argparse.Namespace) -> int:
         _write_json(folder / "truth.json", simulation.to_dict())
     print(f"wrote {name} and truth.json with {len(simulation.targets)} targets to {options.out}")
     return _OK
+
+
+def _half_range(options: argparse.Namespace):
+    """Nine numbers, mm and rad."""
+    import torch
+
+    rotation = [math.radians(options.rotation_range_deg)] * 3
+    return torch.tensor([*options.source_range_mm, *options.patient_range_mm, *rotation], dtype=torch.float64)
 
 
 def _register(options: argparse.Namespace) -> int:
@@ -133,7 +140,8 @@ def _register(options: argparse.Namespace) -> int:
         warnings += [f"{options.radiograph}: {line}" for line in check_radiograph(radiograph)]
         result = _registered(
             options, folder, ct, radiograph, targets, warnings,
-            free=options.dof, sdd_mm=options.sdd_mm, threshold_hu=options.threshold_hu, method=options.method,
+            free=options.dof, half_range=_half_range(options), sdd_mm=options.sdd_mm,
+            threshold_hu=options.threshold_hu, method=options.method,
             landmark_patient_mm=options.landmark_ct and tuple(options.landmark_ct),
             landmark_stored=options.landmark_radiograph and tuple(options.landmark_radiograph),
         )  # fmt: skip
@@ -169,18 +177,37 @@ def _registered(
         result = register(
             ct, radiograph, options.view, method=methods[method], seed=options.seed, progress=progress, **settings
         )
-    _write_json(folder / "result.json", result.to_dict())
+    _write_json(folder / "result.json", result.to_dict() | _expected_errors(result, targets))
     bone = attenuation(ct, threshold_hu=settings.get("threshold_hu", BONE_HU))
     moving = render(bone, result.parameters, radiograph.detector, options.view)
     write_overlay(folder / "overlay.png", radiograph, result, moving, targets)
     return result
 
 
+def _expected_errors(result, targets) -> dict[str, dict[str, float]]:
+    """Of where each target is projected to, mm in the detector plane."""
+    import torch
+
+    if result.covariance is None or not targets:
+        return {}
+    errors = result.expected_errors_mm(torch.tensor(list(targets.values()), dtype=torch.float64)).tolist()
+    return {"expected_target_errors_mm": dict(zip(targets, errors, strict=True))}
+
+
 def _print_result(result) -> None:
     print(f"{result.status}: {result.message}")
-    print(f"similarity {result.similarity:.4f}, {result.evaluations} evaluations, {result.seconds:.0f} s")
-    for key, value in result.to_dict()["parameters"].items():
-        print(f"  {key:10} {value:10.3f}")
+    for line in result.warnings:
+        print(f"warning: {line}")
+    print(f"similarity {result.similarity:.4f}, {result.evaluations} evaluations, {result.seconds:.1f} s")
+    found = result.to_dict()
+    if "expected_pde_mm" in found:
+        expected, limit = found["expected_pde_mm"], found["pde_95_mm"]
+        print(
+            f"expected error in the image {expected:.3f} mm, below {limit:.3f} mm in 95 % of cases like those simulated"
+        )
+    deviations = found.get("standard_deviations", {})
+    for key, value in found["parameters"].items():
+        print(f"  {key:10} {value:10.3f}" + (f" +- {deviations[key]:.3f}" if deviations else ""))
 
 
 def _evaluate(options: argparse.Namespace) -> int:

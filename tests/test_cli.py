@@ -479,6 +479,32 @@ def test_six_dof_keep_the_source_at_its_start(inputs, tmp_path, method):
     assert all(values[key] != 0 for key in PARAMETERS[3:])
 
 
+def test_a_range_is_searched_and_zero_freezes(inputs, tmp_path, method):
+    _run(REGISTER.format(i=inputs, o=tmp_path) + " --source-range-mm 0 0 40 --rotation-range-deg 3")
+    problem = method.problems[-1]
+    assert problem.free == [2, 3, 4, 5, 6, 7, 8]
+    assert problem.half_range[:6].tolist() == [0, 0, 40, 75, 75, 150]
+    assert torch.rad2deg(problem.half_range[6:]).tolist() == pytest.approx([3, 3, 3])
+
+
+def test_what_a_search_knows_of_its_errors_is_printed_and_written(inputs, tmp_path, method, capsys):
+    def found(problem):
+        spread = torch.diag(torch.tensor([0, 0, 50.0**2, 1, 1, 1, 0, 0, 0], dtype=torch.float64))
+        starts = problem.initial.repeat(3, 1)
+        return Found(problem.initial, 0.5, starts, torch.full((3,), 0.5).double(), 3, spread)
+
+    method.search = found
+    (tmp_path / "targets.csv").write_text("name,x,y,z\nT8,0,0,0\n")
+    _run(REGISTER.format(i=inputs, o=tmp_path) + f" --targets {tmp_path}/targets.csv")
+    told = json.loads((tmp_path / "new" / "deep" / "result.json").read_text())
+    assert told["standard_deviations"]["z_s_mm"] == pytest.approx(50)
+    assert list(told["expected_target_errors_mm"]) == ["T8"]
+    assert told["expected_pde_mm"] > 1
+    printed = capsys.readouterr().out
+    assert "warning: SDD and ODD can hardly be told apart: SDD +- 50 mm" in printed
+    assert "+- 50.000" in printed
+
+
 def test_method_pycma_searches_by_the_package(inputs, tmp_path, method, monkeypatch):
     calls = []
 

@@ -47,9 +47,9 @@ def register(
     the others keep their values of ``initial``, which is made from view and protocol unless given
     (``initial_parameters``). The SDD comes from ``sdd_mm``, else from the radiograph's file, else is 1000 mm. A
     landmark is a point of the CT (LPS mm) and the (column, row) of the file where it is seen. ``half_range`` is how
-    far from ``initial`` to look (mm, rad). Voxels below ``threshold_hu`` count as air (None: none). ``method`` is
-    ``hybrid``, which always takes gradient correlation, or ``evolution``, the paper's, or a ``partial`` of either;
-    ``similarity`` is one of ``regtorch.similarity``.
+    far from ``initial`` to look (mm, rad); 0 freezes. Voxels below ``threshold_hu`` count as air (None: none).
+    ``method`` is ``hybrid``, which always takes gradient correlation, or ``evolution``, the paper's, or a ``partial``
+    of either; ``similarity`` is one of ``regtorch.similarity``.
 
     The same seed gives the same result. Raises ``RegtorchError`` for input that cannot be registered; a registration
     that went wrong is no error but has the status ``failed`` or ``doubtful``, and says why.
@@ -77,10 +77,11 @@ def register(
         )
     attenuating = crop_to_anatomy(attenuation(ct, threshold_hu=threshold_hu))
     half_range = torch.tensor(SEARCH) if half_range is None else half_range
-    if not bool(((half_range[moving] > 0) & half_range[moving].isfinite()).all()):
-        raise RegtorchError(
-            f"half range {half_range.tolist()}: expected more than 0 for what may move; freeze the rest"
-        )
+    if not bool(((half_range >= 0) & half_range.isfinite()).all()):
+        raise RegtorchError(f"half range {half_range.tolist()}: expected numbers from 0 (frozen) on")
+    moving = [index for index in moving if half_range[index] > 0]
+    if not moving:
+        raise RegtorchError(f"half range {half_range.tolist()}: everything is frozen, expected something to find")
     problem = Problem(
         attenuating=attenuating,
         whole=crop_to_anatomy(attenuation(ct, threshold_hu=None)),

@@ -194,8 +194,31 @@ def test_a_landmark_outside_the_file_is_named_in_its_own_pixels(pair):
         register(pair.ct, pair.radiograph, "PA", landmark_patient_mm=(0.0, 0.0, 0.0), landmark_stored=(150.0, 5.0))
 
 
+def test_a_range_of_zero_freezes(pair):
+    method, half = Told(), torch.tensor(SEARCH)
+    half[[2, 7]] = 0
+    register(pair.ct, pair.radiograph, "PA", method=method, half_range=half, free=7)
+    assert method.problem.free == [3, 4, 5, 6, 8]
+
+
+def test_expected_errors_are_of_named_points(pair):
+    found = register(pair.ct, pair.radiograph, "PA", method=SMALL, half_range=torch.tensor(HALF_RANGE))
+    points = torch.tensor(list(pair.truth.targets.values()), dtype=torch.float64)
+    errors = found.expected_errors_mm(points)
+    assert errors.shape == (len(points),)
+    assert bool((errors > 0).all())
+    told = found.to_dict()
+    assert 0 < told["expected_pde_mm"] < told["pde_95_mm"]
+    assert list(told["standard_deviations"]) == list(KEYS)
+    assert found.error_rms_mm == pytest.approx(float(errors.square().mean().sqrt()), rel=1)
+    without = register(pair.ct, pair.radiograph, "PA", method=Told())
+    assert "expected_pde_mm" not in without.to_dict()
+    with pytest.raises(RegtorchError, match="no covariance"):
+        without.expected_errors_mm(points)
+
+
 def test_bad_seeds_and_half_ranges_are_refused(pair):
     with pytest.raises(RegtorchError, match="seed -1"):
         register(pair.ct, pair.radiograph, "PA", seed=-1)
-    with pytest.raises(RegtorchError, match="half range"):
+    with pytest.raises(RegtorchError, match="everything is frozen"):
         register(pair.ct, pair.radiograph, "PA", half_range=torch.zeros(9))
