@@ -34,7 +34,8 @@ def render(
     parameters and by the voxels with every backend.
 
     Methods: ``siddon`` (Siddon 1985) is exact for voxels of constant value; ``joseph`` (Joseph 1982) interpolates
-    bilinearly on each slice across the axis nearest to the ray; ``trilinear`` samples at half-voxel steps.
+    bilinearly, or with the edges that ``volume.sharpness`` asks for, on each slice across the axis nearest to the ray;
+    ``trilinear`` samples at half-voxel steps.
     Backends: ``torch`` is the readable reference; ``cpu`` and ``triton`` (for GPUs) are fused kernels in float32.
     ``auto`` takes the fastest that can do what is asked.
 
