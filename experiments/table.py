@@ -62,7 +62,7 @@ def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts:
     own = {key: value for key, value in OmegaConf.to_container(config).items() if key not in cases}
     folder.mkdir(parents=True, exist_ok=True)
     kept, before = folder / "settings.yaml", {}
-    if any(folder.glob(TABLES)) and kept.exists():
+    if kept.exists():
         before = OmegaConf.to_container(OmegaConf.load(kept))
         changed = [key for key in own if key not in parts and own[key] != before.get(key)]
         for key in parts:
@@ -80,12 +80,17 @@ def done(folder: Path, key: Iterable[str]) -> set[tuple[str, ...]]:
     cases = set()
     for table in folder.glob(TABLES):
         with table.open(newline="") as file:
-            cases |= {tuple(row[column] for column in key) for row in csv.DictReader(file)}
+            rows = csv.DictReader(file)
+            last = (rows.fieldnames or [""])[-1]  # missing where a kill cut the row short
+            cases |= {tuple(row[column] for column in key) for row in rows if row[last]}
     return cases
 
 
 def append(table: Path, row: Mapping[str, Any]) -> None:
     new = not table.exists()
+    if not new and not table.read_bytes().endswith(b"\n"):
+        with table.open("a", newline="") as file:
+            file.write("\r\n")
     with table.open("a", newline="") as file:
         writer = csv.DictWriter(file, row)
         if new:

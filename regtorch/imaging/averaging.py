@@ -1,6 +1,7 @@
 """Exact area averaging onto a coarser grid, one axis at a time: what both pyramids are made of."""
 
 import math
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -23,7 +24,7 @@ def overlaps(old: int, new: int, ratio: float) -> Float[Tensor, "new old"]:
 
 
 def coarsen(volume: Volume, spacing_mm: float) -> Volume:
-    """Averages onto voxels of ``spacing_mm`` along each axis that is finer, about the same centre.
+    """Averages onto voxels of ``spacing_mm`` along each axis that is finer, about the same centre; linear along these.
 
     The count is rounded up, with air around the volume, so that its mass is kept and nothing at its border is lost.
     """
@@ -42,7 +43,10 @@ def coarsen(volume: Volume, spacing_mm: float) -> Volume:
         voxel_from_coarse[-1 - axis, 3] = (old - 1) / 2 - ratio * (new - 1) / 2
     if volume.unit == "HU":
         data = data + AIR_HU
-    return volume.on_grid(data, volume.patient_from_voxel @ voxel_from_coarse)
+    coarse = volume.on_grid(data, volume.patient_from_voxel @ voxel_from_coarse)
+    ratios = voxel_from_coarse.diagonal()[:3].tolist()
+    sharpness = tuple(1.0 if ratio > 1 else s for ratio, s in zip(ratios, volume.sharpness, strict=True))
+    return replace(coarse, sharpness=sharpness)
 
 
 def _average(data: Float[Tensor, "*c d h w"], axis: int, weights: Float[Tensor, "new old"]) -> Float[Tensor, "..."]:

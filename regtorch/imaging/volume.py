@@ -77,4 +77,6 @@ class Volume:
 
         So a scanner's thick slices, or Siddon's method, see them; infinity makes them linear from centre to centre.
         """
+        if not width_mm > 0:
+            raise RegtorchError(f"{self.name}: edges of {width_mm} mm, expected a positive width")
         return replace(self, sharpness=tuple(max(1.0, size / width_mm) for size in self.spacing_mm.tolist()))

@@ -1,5 +1,6 @@
 """Climbs without derivatives, many starts at once: CMA-ES in place of Levenberg-Marquardt, for comparison."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -19,7 +20,9 @@ def evolve(
     generations_per_step: int = 4,
     first_step: float = 5.0,
 ) -> Ascent:
-    """``levenberg_marquardt``'s interface; of ``equations`` only the similarity is used until the end is reached.
+    """``levenberg_marquardt``'s interface; of ``equations`` the similarity alone is used until the end is reached.
+
+    Derivatives are computed all the same: compare evaluations, not seconds.
 
     ``first_step`` is in units of ``scale``, less where ``damping`` says that the start is near its end (its fourth
     root, 1 for 1e-2).
@@ -34,5 +37,12 @@ def evolve(
         max_generations=generations_per_step * steps,
         tol_fun=1e-6,
     )
+    before, here, _ = equations(start.clamp(lower, upper))
     similarity, jtj, _ = equations(found.x)
-    return Ascent(found.x, similarity, jtj, int(found.evaluations.sum()) + len(found.x))
+    better = similarity > before
+    return Ascent(
+        torch.where(better[:, None], found.x, start.clamp(lower, upper)),
+        torch.where(better, similarity, before),
+        torch.where(better[:, None, None], jtj, here),
+        int(found.evaluations.sum()) + 2 * len(found.x),
+    )

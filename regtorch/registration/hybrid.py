@@ -4,7 +4,7 @@ Soft tissue guides the search where the radiograph shows it; bone refines it, an
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -31,6 +31,9 @@ class Stage:
 
 
 _PLACE_MM = 10.0
+_WEAK = 0.28
+"""The best start's mean similarity of bone and all tissue: 0.36 and more for right radiographs, up to 0.25 for another
+patient's, mirrored ones and those upside down, but for some that had a rival or lay at a limit of the range."""
 _NEAR = 1e-5
 """First damping of a climb that begins near its end: more would keep SDD and ODD, which hardly matter, from moving."""
 _FLATTEST, _LOSSES, _LEAST_CURVATURE = 2, (0.01, 0.04), 1e-12
@@ -57,7 +60,7 @@ def hybrid(
     at most three of a place. From there on all climb with bone alone, fewer on each level, and the mean of the
     similarities of bone and of all tissue ranks them. ``Found.starts`` are the ends of the second level's climbs, by
     that mean. On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is
-    marked down (``explained_weight``); on the second also from places beside it where the similarity hardly falls.
+    marked down (``explained_weight``); on the second also from places beside it, along the flattest directions.
 
     Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
@@ -71,8 +74,8 @@ def hybrid(
     """
     if problem.similarity is not gradient_correlation:
         raise RegtorchError("similarity other than gradient correlation: expected that, or the method evolution")
-    if not stages or min(poses, *(stage.candidates for stage in (first, *stages))) < 1:
-        raise RegtorchError("no poses, stages or candidates: expected at least one of each")
+    if not (stages and edges_px) or min(poses, *(stage.candidates for stage in (first, *stages))) < 1:
+        raise RegtorchError("no poses, stages, candidates or edges: expected at least one of each")
     tally = Tally()
 
     def matcher(stage: Stage, tissue: Volume) -> Matcher:
@@ -93,7 +96,7 @@ def hybrid(
     for number, (widest, *_) in enumerate(pyramids):
         problem.progress(0.2 * number, f"screening {poses} poses")
         goes_on = max(1, stages[0].candidates // len(tissues))
-        seed = (problem.seed + number) % 2**32
+        seed = (2 * problem.seed + number) % 2**32
         candidates.append(_screened(problem, widest, screening, poses, first, goes_on, seed))
     parameters, starts, edges = torch.cat(candidates), None, torch.inf
     for number, stage in enumerate(stages):
@@ -118,7 +121,7 @@ def hybrid(
         last = matchers[1].with_edges(edges)
         if float(last.similarity(found.parameters[None])[0]) > trusted_similarity:
             other = _finished(matcher(finest, whole), found.parameters, finest, edges_px)
-            found = other if other.similarity > found.similarity else found
+            found = other if other.plain_similarity > found.plain_similarity else found
     return Found(
         parameters=found.parameters,
         similarity=found.similarity,
@@ -126,6 +129,7 @@ def hybrid(
         start_similarity=starts[1],
         evaluations=tally.evaluations,
         covariance=found.covariance,
+        weak_similarity=0.0 if alike else _WEAK,
     )
 
 
@@ -153,8 +157,11 @@ class _End(NamedTuple):
 
 
 class _Answer(NamedTuple):
+    """``plain_similarity`` forgives nothing, so that those of different tissue can be compared."""
+
     parameters: Float[Tensor, "9"]
     similarity: float
+    plain_similarity: float
     covariance: Float[Tensor, "9 9"]
 
 
@@ -166,7 +173,7 @@ def _refined(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> _E
 
 
 def _along_the_flat(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:
-    """The best end of climbs from this one's end and from places beside it, where the similarity falls least.
+    """The best end of climbs from this one's end and from places to both sides along the flattest directions.
 
     Source and patient together can move far along the beam and change little: a valley with more than one bottom.
     """
@@ -176,7 +183,7 @@ def _along_the_flat(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int
     values, axes = torch.linalg.eigh(climbed.jtj[0] * scale[:, None] * scale)
     offsets = [torch.zeros_like(scale)]
     for value, axis in list(zip(values, axes.mT, strict=True))[:_FLATTEST]:
-        for loss in _LOSSES:  # |r|^2 = 4 (1 - similarity)
+        for loss in _LOSSES:  # what a parabola would lose where the similarity is one half; the truth is no parabola
             step = (8 * loss / value.clamp_min(_LEAST_CURVATURE)).sqrt() * axis * scale
             offsets += [step, -step]
     beside = (climbed.x + torch.stack(offsets)).clamp(problem.lower, problem.upper)
@@ -201,7 +208,8 @@ def _finished(matcher: Matcher, parameters: Float[Tensor, "9"], stage: Stage, ed
     for width in edges_px:
         end = _refined(matcher.with_edges(width if constant else torch.inf), parameters, stage.steps)
         parameters = end.parameters
-    return _Answer(parameters, end.similarity, covariance(end.matcher, parameters))
+    plain = float(replace(end.matcher, gradients=matcher.gradients).similarity(parameters[None])[0])
+    return _Answer(parameters, end.similarity, plain, covariance(end.matcher, parameters))
 
 
 def _distinct(

@@ -87,7 +87,8 @@ class Problem:
 class Found:
     """The answer of a search method; ``starts`` (best first) and their similarities are those it chose the place by.
 
-    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any.
+    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any. Below ``weak_similarity`` the best
+    start is no better than those for another's anatomy may be, if the method knows how good these are.
     """
 
     parameters: Float[Tensor, "9"]
@@ -96,3 +97,4 @@ class Found:
     start_similarity: Float[Tensor, " n"]
     evaluations: int
     covariance: Float[Tensor, "9 9"] | None = None
+    weak_similarity: float = 0.0

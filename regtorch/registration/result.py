@@ -21,11 +21,13 @@ class Registration:
 
     ``parameters`` and ``initial`` are the nine (mm, rad; float64). ``image_from_patient`` maps LPS mm to (column, row)
     of the image seen from the source, ``pixel_from_patient`` to those of the image as its file stores it, which may be
-    ``mirrored``. ``message`` says in one sentence why ``status`` is what it is. ``similarity`` is that of the finest
-    level, between -1 and 1. ``starts`` is where the starts of a coarse level ended, best first,
-    and ``start_similarity`` how well. ``covariance`` is that of the nine parameters (mm, rad; 0 for frozen ones), as
-    parts of the image disagree about them, and ``error_rms_mm`` what it makes of the anatomy in the detector plane;
-    None and not a number where the similarity gives none. ``warnings`` are one line each.
+    ``mirrored``. ``message`` says in one sentence why ``status`` is what it is; ``warnings`` are one line each.
+    ``similarity`` is that of the finest level, between -1 and 1, and by ``hybrid`` with what the DRR does not explain
+    marked down. ``starts`` is where the starts of a coarse level ended, best first, and ``start_similarity`` how well.
+
+    ``covariance`` is that of the nine parameters (mm, rad; 0 for frozen ones), as parts of the image disagree about
+    them, and ``error_rms_mm`` what it makes of the anatomy in the detector plane; None and not a number where the
+    similarity gives none.
     """
 
     parameters: Float[Tensor, "9"]
@@ -86,8 +88,9 @@ class Registration:
         return each.diagonal(dim1=1, dim2=2).sum(1).sqrt()
 
     def _uncertainty(self) -> dict[str, Any]:
-        """The mean error in two dimensions is 0.89 of its root mean square, and 1.73 of it holds 95 % (Rayleigh)."""
-        if self.covariance is None:
+        """Where errors are alike in both directions their mean is 0.89 of the root mean square, and 1.73 of that holds
+        95 % (Rayleigh)."""
+        if self.covariance is None or not math.isfinite(self.error_rms_mm):
             return {}
         return {
             "standard_deviations": parameters_to_dict(self.covariance.diagonal().sqrt()),

@@ -24,36 +24,42 @@ _LEAST_CURVATURE = 1e-9
 def covariance(matcher: Matcher, parameters: Float[Tensor, "9"]) -> Float[Tensor, "9 9"]:
     """Of the parameters (mm, rad; 0 for those that are frozen): H^-1 (sum over patches of s s^T) H^-1.
 
-    H = J^T J of the normalised gradient images and s = J^T r of a patch, a sixteenth of the image's longer side wide
-    (White 1980, clustered). Residuals within a patch may depend on each other as they like; what they have in common
-    over the whole image (an organ's pull, a wrong voxel size) this cannot see: the result is ``_INFLATION`` squared
-    times as large.
+    For what the search climbs, the sum of rho = M F over both directions' normalised gradient images, H = sum rho J^T J
+    and s = J^T (rho M - F) of a patch, a sixteenth of the image's longer side wide (White 1980, clustered). Residuals
+    within a patch may depend on each other as they like; what they have in common over the whole image (an organ's
+    pull, a wrong voxel size) this cannot see: the result is ``_INFLATION`` squared times as large. Infinite variance
+    where nothing depends on a parameter or the images do not match.
     """
     level, free = matcher.level, matcher.problem.free
     detector = level.fixed.detector
     image, jacobian = render_with_jacobian(level.volume, parameters, detector, matcher.problem.view)
     matcher.tally.evaluations += 1
     root = matcher.gradients.root
-    total = root.square().sum()
+    tiny = torch.finfo(root.dtype).tiny
+    total = root.square().sum().clamp_min(tiny)
     curvature, scores = 0, 0
     images = torch.cat([image[None], jacobian[free]])
     for gradient, unit in zip(image_gradients(images), matcher.gradients.unit, strict=True):
         centred = (gradient - (gradient * root.square()).sum((1, 2), keepdim=True) / total) * root
-        moving = centred[0] / centred[0].norm().clamp_min(torch.finfo(root.dtype).tiny)
+        length = centred[0].norm().clamp_min(tiny)
+        moving = centred[0] / length
         rho = (moving * unit).sum()
-        slopes = centred[1:] - moving * (centred[1:] * moving).sum((1, 2), keepdim=True)
-        slopes = rho * slopes / centred[0].norm().clamp_min(torch.finfo(root.dtype).tiny)
+        slopes = (centred[1:] - moving * (centred[1:] * moving).sum((1, 2), keepdim=True)) / length
         flat = slopes.flatten(1).double()
-        curvature = curvature + flat @ flat.mT
+        curvature = curvature + rho.clamp_min(0) * (flat @ flat.mT)
         scores = scores + slopes * (rho * moving - unit)
     side = -(-max(detector.rows, detector.columns) // _PATCHES)
     scores = pad(scores, (0, -detector.columns % side, 0, -detector.rows % side))
     patches = scores.unfold(1, side, side).unfold(2, side, side).sum((3, 4)).flatten(1).double().cpu()
-    scale = 1 / curvature.cpu().diagonal().clamp_min(1e-300).sqrt()
+    result = torch.zeros(9, 9, dtype=torch.float64)
+    level_of = curvature.cpu().diagonal()
+    if not bool((level_of.isfinite() & (level_of > 0)).all()):
+        result[free, free] = torch.inf
+        return result
+    scale = 1 / level_of.sqrt()
     values, axes = torch.linalg.eigh(curvature.cpu() * scale[:, None] * scale)
     inverse = (axes / values.clamp_min(_LEAST_CURVATURE)) @ axes.mT
     spread = inverse @ (scale[:, None] * patches)
-    result = torch.zeros(9, 9, dtype=torch.float64)
     result[torch.tensor(free)[:, None], torch.tensor(free)] = scale[:, None] * (spread @ spread.mT) * scale
     return _INFLATION**2 * result
 

@@ -17,9 +17,6 @@ _AGREE_MM = 20.0
 _LEAST_SIMILARITY = 0.05
 """The best start's, below which nothing matches. Unrelated images and noise have about 0.03."""
 
-_WEAK_SIMILARITY = 0.28
-"""The best start's, below which a match may be another's anatomy or the right one's mirror image."""
-
 _LEAST_GAP = 0.02
 """How much better than the next best place the answer must be on the first level."""
 
@@ -40,7 +37,7 @@ def judge(problem: Problem, found: Found) -> tuple[Status, str]:
     if at_limit:
         names = ", ".join(KEYS[problem.free[i]].rsplit("_", 1)[0] for i in at_limit)
         return "doubtful", f"{names} at the limit of the range searched: the answer may lie beyond"
-    if best < _WEAK_SIMILARITY:
+    if best < found.weak_similarity:
         return "doubtful", f"similarity {best:.2f} at best: too weak to tell this anatomy from another"
     agree = problem.shift_mm(found.starts, found.parameters) < _AGREE_MM
     count, total = int(agree.sum()), len(agree)

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
-from regtorch.similarity.gradients import image_gradients
+from regtorch.similarity.gradients import gradient_weight, image_gradients
 
 _NOTHING = 1e-6
 """Share of the energy that counts as no residual: rounding."""
@@ -26,14 +26,17 @@ def explained_weight(
     that no pose can mend: a wire, a letter, an organ that has moved, few photons. Weighing by its inverse is one step
     of iteratively reweighted least squares; where all is explained alike, all counts alike.
     """
-    total = weight.sum().clamp_min(torch.finfo(weight.dtype).tiny)
+    tiny = torch.finfo(weight.dtype).tiny
+    counts = gradient_weight(weight)  # beside a mask gradients are those of its edge
+    total = counts.sum().clamp_min(tiny)
     energy, whole = torch.zeros_like(fixed), 0
     for m, f in zip(image_gradients(moving[None]), image_gradients(fixed[None]), strict=True):
-        m, f = (g[0] - (g[0] * weight).sum() / total for g in (m, f))
-        gain = (m * f * weight).sum() / (m.square() * weight).sum().clamp_min(torch.finfo(weight.dtype).tiny)
-        energy += (f - gain * m).square()
-        whole = whole + (f.square() * weight).sum() / total
+        m, f = (g[0] - (g[0] * counts).sum() / total for g in (m, f))
+        gain = (m * f * counts).sum() / (m.square() * counts).sum().clamp_min(tiny)
+        energy += (f - gain * m).square() * counts
+        whole = whole + (f.square() * counts).sum() / total
     size = 2 * int(3 * width_px) + 1
-    energy = gaussian_blur2d(energy[None, None], (size, size), (width_px, width_px), "replicate")[0, 0]
-    mean = torch.maximum((energy * weight).sum() / total, _NOTHING * whole)
-    return weight * floor / (floor + energy / mean.clamp_min(torch.finfo(weight.dtype).tiny))
+    mean = torch.maximum(energy.sum() / total, _NOTHING * whole).clamp_min(tiny)
+    both = torch.stack([energy, counts])[:, None]
+    energy, nearby = gaussian_blur2d(both, (size, size), (width_px, width_px), "replicate")[:, 0]
+    return weight * floor / (floor + energy / nearby.clamp_min(1e-6) / mean)

@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from regtorch.drr import cpu, reference, render, render_with_jacobian, triton
+from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, cone_beam_rays
-from regtorch.imaging import Volume
+from regtorch.imaging import Volume, coarsen
 
 from .scenes import pose_of, random_volume, relative
 
@@ -43,9 +44,24 @@ def test_the_sharper_the_nearer_to_siddon():
     assert off[0] > off[1] > off[2]
 
 
+def test_rays_through_the_centres_of_voxels_have_their_slopes_along_an_axis_that_is_not_sharp():
+    volume = replace(random_volume(8, 8, 8, spacing=(1.0, 1.0, 1.0)), sharpness=(1.0, 1.0, 3.0))
+    straight = pose_of((0, 0, 1e7), (0, 0, 300))
+    detector = Detector(9, 9, 0.5)
+    _, found = render_with_jacobian(volume, straight, detector, backend="cpu")
+    _, expected = render_with_jacobian(_in_float64(volume), straight + 1e-9, detector, backend="torch")
+    assert relative(found[3], expected[3]) < 0.2
+
+
+def test_coarse_voxels_are_linear_where_they_were_averaged():
+    assert coarsen(SHARP, 2.0).sharpness == (1.0, 1.0, 5.0)
+
+
 def test_edges_as_wide_as_asked_for():
     assert SHARP.with_edges(1.2).sharpness == pytest.approx((1.0, 1.25, 4.0 / 1.2))
     assert SHARP.with_edges(torch.inf).sharpness == (1.0, 1.0, 1.0)
+    with pytest.raises(RegtorchError, match="edges of 0.0 mm"):
+        SHARP.with_edges(0.0)
 
 
 @pytest.mark.parametrize("degrees", [(0, 0, 0), (0, 90, 0), (90, 0, 0), (35, 45, 10)])

@@ -67,3 +67,12 @@ def test_a_shift_of_the_patient_shifts_projections_by_the_magnification(pair):
     assert found[:, 0, 0].sqrt().tolist() == pytest.approx((0.2 * magnification).tolist())
     assert found[:, 1, 1].sqrt().tolist() == pytest.approx((0.3 * magnification).tolist())
     assert found[:, 0, 1].tolist() == pytest.approx([0, 0, 0], abs=1e-12)
+
+
+def test_what_the_image_does_not_show_is_not_certain(pair):
+    matcher = _matcher(pair, [3, 7])
+    away = pair.truth.parameters.clone()
+    away[3] = 3000
+    spread = covariance(matcher, away)
+    assert bool(spread.diagonal()[[3, 7]].isinf().all())
+    assert not bool(spread.isnan().any())

@@ -34,7 +34,9 @@ def test_failed_where_the_similarity_is_no_number(pair):
 
 
 def test_doubtful_where_even_the_best_start_is_weak(pair):
-    status, message = judge(pair.problem(ALL), _found(pair, [0, 0], [0.2, 0.2]))
+    found = _found(pair, [0, 0], [0.2, 0.2])
+    assert judge(pair.problem(ALL), found)[0] == "ok"
+    status, message = judge(pair.problem(ALL), replace(found, weak_similarity=0.3))
     assert status == "doubtful"
     assert "too weak" in message
 

@@ -37,6 +37,14 @@ def test_what_is_masked_stays_masked_and_leaves_no_trace():
     torch.testing.assert_close(explained_weight(moving, other, weight)[25:], found[25:])
 
 
+def test_the_edge_of_a_mask_is_no_residual():
+    moving, weight = _image(), torch.ones(60, 50)
+    weight[:20] = 0
+    fixed = torch.where(weight > 0, moving + 0.1 * _image(1), 3.0)
+    found = explained_weight(moving, fixed, weight)
+    assert float(found[20:23].mean()) > 0.5 * float(found[30:].mean())
+
+
 def test_gain_and_offset_of_the_radiograph_do_not_matter():
     moving, fixed, ones = _image(), _image() + _image(1), torch.ones(60, 50)
     torch.testing.assert_close(explained_weight(moving, fixed, ones), explained_weight(moving, 40 * fixed - 3, ones))

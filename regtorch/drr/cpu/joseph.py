@@ -221,8 +221,8 @@ def _sharpen(s, four, count, sharp_a, sharp_b):
     for q in range(count):
         fa, fb = s[FA + q], s[FB + q]
         a, b = (fa - half) * sharp_a + half, (fb - half) * sharp_b + half
-        slope_a = sharp_a if zero < a < one else zero
-        slope_b = sharp_b if zero < b < one else zero
+        slope_a = sharp_a if zero <= a < one else zero
+        slope_b = sharp_b if zero <= b < one else zero
         a0, b0 = min(max(a, zero), one) - fa * slope_a, min(max(b, zero), one) - fb * slope_b
         v00, v10, v01, v11 = four[4 * q], four[4 * q + 1], four[4 * q + 2], four[4 * q + 3]
         upper, lower = v01 - v00, v11 - v10

@@ -75,8 +75,8 @@ def joseph(
         fa = (a.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0))[None, :]
         fb = (b.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0))[None, :]
         fa, fb = (fa - 0.5) * sharp_a + 0.5, (fb - 0.5) * sharp_b + 0.5
-        steep_a = tl.where((fa > 0) & (fa < 1), sharp_a, 0.0)
-        steep_b = tl.where((fb > 0) & (fb < 1), sharp_b, 0.0)
+        steep_a = tl.where((fa >= 0) & (fa < 1), sharp_a, 0.0)
+        steep_b = tl.where((fb >= 0) & (fb < 1), sharp_b, 0.0)
         fa, fb = tl.minimum(tl.maximum(fa, 0.0), 1.0), tl.minimum(tl.maximum(fb, 0.0), 1.0)
         a += step_a
         b += step_b
