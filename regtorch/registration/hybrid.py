@@ -15,7 +15,7 @@ from regtorch.errors import RegtorchError
 from regtorch.imaging import Volume
 from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.matcher import Climb, Matcher, Tally
-from regtorch.registration.problem import Found, Problem
+from regtorch.registration.problem import MIRROR, Found, Problem
 from regtorch.registration.screening import Candidates, screen
 from regtorch.registration.uncertainty import covariance
 from regtorch.similarity import gradient_correlation
@@ -34,6 +34,9 @@ _PLACE_MM = 10.0
 _WEAK = 0.28
 """The best start's mean similarity of bone and all tissue: 0.36 and more for right radiographs, up to 0.25 for another
 patient's, mirrored ones and those upside down, but for some that had a rival or lay at a limit of the range."""
+_AS_THEY_ARE = 1e-3
+"""Voxels per pixel for a volume that is coarse already."""
+
 _NEAR = 1e-5
 """First damping of a climb that begins near its end: more would keep SDD and ODD, which hardly matter, from moving."""
 _FLATTEST, _LOSSES, _LEAST_CURVATURE = 2, (0.01, 0.04), 1e-12
@@ -130,6 +133,7 @@ def hybrid(
         evaluations=tally.evaluations,
         covariance=found.covariance,
         weak_similarity=0.0 if alike else _WEAK,
+        mirrored_similarity=_mirrored_similarity(problem, pyramids, (first, stages[0]), starts[0][0]),
     )
 
 
@@ -148,6 +152,28 @@ def _screened(
     climbed = matcher.climb(screened[chosen], stage.steps)
     places = problem.embed(climbed.x[climbed.similarity.argsort(descending=True)])
     return places[_distinct(problem, places, _PLACE_MM, goes_on, each=3)]
+
+
+def _mirrored_similarity(
+    problem: Problem, pyramids: list[list[Matcher]], stages: tuple[Stage, Stage], start: Float[Tensor, "9"]
+) -> float:
+    """As the best start's, for the radiograph mirrored: from the start mirrored up the first two levels.
+
+    Bodies are nearly symmetric, so that a search is content with the mirror image of what it should have found.
+    """
+    mirrored = problem.mirrored()
+    parameters = start * MIRROR
+    levels = [
+        [
+            Matcher.of(mirrored, stage.pixels, _AS_THEY_ARE, matcher.level.volume, matcher.tally, matcher.optimizer)
+            for stage, matcher in zip(stages, pyramid, strict=False)
+        ]
+        for pyramid in pyramids
+    ]
+    wide = levels[-1][0].climb(parameters[None], stages[0].steps)
+    climbed = levels[0][1].climb(mirrored.embed(wide.x), stages[1].steps)
+    others = [level[1].similarity(mirrored.embed(climbed.x)) for level in levels[1:]]
+    return float(sum(others, climbed.similarity)[0]) / len(levels)
 
 
 class _End(NamedTuple):

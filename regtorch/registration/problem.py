@@ -1,7 +1,7 @@
 """What every search method is given: the pair, where to begin, how far to look, and what may move."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -13,6 +13,10 @@ from regtorch.imaging import Radiograph, Volume
 from regtorch.registration.objective import Level, Similarity
 
 Progress = Callable[[float, str], None]
+
+MIRROR = torch.tensor([-1, 1, 1, -1, 1, 1, 1, -1, -1], dtype=torch.float64)
+"""What the parameters are multiplied by when everything is mirrored in the plane X = 0: for M = diag(-1, 1, 1),
+M Rz(phi) Ry(theta) Rx(eta) M = Rz(-phi) Ry(-theta) Rx(eta)."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,12 @@ class Problem:
         parameters[..., self.free] = values
         return parameters
 
+    def mirrored(self) -> "Problem":
+        """The same with the radiograph mirrored left to right, and source and patient with it."""
+        image, weight = self.radiograph.image.flip(1), self.radiograph.weight.flip(1)
+        radiograph = replace(self.radiograph, image=image, weight=weight)
+        return replace(self, radiograph=radiograph, initial=self.initial * MIRROR)
+
     def shift_mm(self, parameters: Float[Tensor, "*b 9"], others: Float[Tensor, "*#b 9"]) -> Float[Tensor, "*b"]:
         """Mean distance in the detector plane between what two sets of parameters make of the points."""
         place = self.radiograph.detector, self.view, self.attenuating.origin_patient_mm
@@ -89,6 +99,7 @@ class Found:
 
     ``covariance`` is that of the nine parameters (mm, rad), if the method knows any. Below ``weak_similarity`` the best
     start is no better than those for another's anatomy may be, if the method knows how good these are.
+    ``mirrored_similarity`` is what the best start reaches with the radiograph mirrored, if the method has tried.
     """
 
     parameters: Float[Tensor, "9"]
@@ -98,3 +109,4 @@ class Found:
     evaluations: int
     covariance: Float[Tensor, "9 9"] | None = None
     weak_similarity: float = 0.0
+    mirrored_similarity: float = -1.0

@@ -31,6 +31,9 @@ def judge(problem: Problem, found: Found) -> tuple[Status, str]:
     best = float(found.start_similarity.max())
     if not (best >= _LEAST_SIMILARITY and math.isfinite(found.similarity)):
         return "failed", f"similarity {best:.3f} at best: the images do not match anywhere in the range"
+    if found.mirrored_similarity > best:
+        known = f"{found.mirrored_similarity:.2f} instead of {best:.2f}"
+        return "doubtful", f"mirrored, the radiograph matches better ({known}): it may show the other side"
     values, lower, upper = found.parameters[problem.free], problem.lower, problem.upper
     margin = 1e-3 * (upper - lower)
     at_limit = ((values - lower < margin) | (upper - values < margin)).nonzero().flatten().tolist()

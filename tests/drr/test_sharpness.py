@@ -60,7 +60,7 @@ def test_coarse_voxels_are_linear_where_they_were_averaged():
 def test_edges_as_wide_as_asked_for():
     assert SHARP.with_edges(1.2).sharpness == pytest.approx((1.0, 1.25, 4.0 / 1.2))
     assert SHARP.with_edges(torch.inf).sharpness == (1.0, 1.0, 1.0)
-    with pytest.raises(RegtorchError, match="edges of 0.0 mm"):
+    with pytest.raises(RegtorchError, match=r"edges of 0\.0 mm"):
         SHARP.with_edges(0.0)
 
 

@@ -67,6 +67,15 @@ def test_the_truth_is_found_from_far_away(pair, threshold_hu):
     assert found.evaluations < 4000
 
 
+def test_a_mirrored_radiograph_is_recognised(pair):
+    mirrored = Radiograph.from_image(pair.radiograph.image.flip(1), DETECTOR)
+    settings = {"method": SMALL, "initial": pair.initial, "half_range": HALF_RANGE}
+    found = register(pair.ct, mirrored, "PA", **settings)
+    assert found.status == "doubtful"
+    right = register(pair.ct, pair.radiograph, "PA", **settings)
+    assert right.status == "ok", right.message
+
+
 @pytest.mark.parametrize(("free", "moving"), [(6, [3, 4, 5, 6, 7, 8]), (["x_obj", "eta", "z_s"], [2, 3, 6])], ids=str)
 def test_what_is_frozen_stays(pair, free, moving):
     settings = {"initial": pair.initial, "half_range": HALF_RANGE}

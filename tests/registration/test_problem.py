@@ -1,10 +1,13 @@
 """What a search method is given: bounds, the free parameters among the nine, distances in the detector plane."""
 
+from dataclasses import replace
+
 import torch
 
+from regtorch.drr import render
 from regtorch.geometry import world_from_ct
 
-from .conftest import HALF_RANGE
+from .conftest import DETECTOR, HALF_RANGE
 
 ALL, PATIENT = list(range(9)), [3, 4, 5, 6, 7, 8]
 
@@ -88,3 +91,15 @@ def test_a_level_is_averaged_to_match_and_rates_the_truth_best(pair):
 def _heights(pair, problem):
     world = world_from_ct(pair.initial, "PA")
     return ((problem.points - pair.ct.origin_patient_mm) @ world[:3, :3].mT + world[:3, 3])[:, 2]
+
+
+def test_the_mirrored_problem_has_the_mirrored_drr(pair):
+    problem = pair.problem(list(range(9)), initial=pair.truth.parameters)
+    mirrored = problem.mirrored()
+    symmetric = problem.whole.with_data(problem.whole.data + problem.whole.data.flip(2))
+    centre = symmetric.patient_from_voxel @ torch.tensor([(symmetric.data.shape[2] - 1) / 2, 0, 0, 1.0]).double()
+    symmetric = replace(symmetric, origin_patient_mm=torch.cat([centre[:1], problem.whole.origin_patient_mm[1:]]))
+    image = render(symmetric, problem.initial, DETECTOR)
+    torch.testing.assert_close(render(symmetric, mirrored.initial, DETECTOR), image.flip(1), rtol=1e-3, atol=1e-3)
+    assert torch.equal(mirrored.radiograph.image, problem.radiograph.image.flip(1))
+    assert torch.equal(mirrored.mirrored().initial, problem.initial)
