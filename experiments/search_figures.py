@@ -13,7 +13,7 @@ mpl.use("agg")
 _KEY = ["ct", "view", "kind", "seed"]
 _DECOY = "decoy_"
 _FAILED_MM, _GOOD_MM = 5.0, 2.0
-_SHOWN_MM = (1e-3, 1e3)
+_SHOWN_MM = (1e-4, 1e3)
 _PALETTE = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#000000"]
 
 
