@@ -17,7 +17,7 @@ _AGREE_MM = 20.0
 _LEAST_SIMILARITY = 0.05
 """The best start's, below which nothing matches. Unrelated images and noise have about 0.03."""
 
-_LEAST_GAP = 0.02
+_LEAST_GAP = 0.05
 """How much better than the next best place the answer must be on the first level."""
 
 _MOST_EXPECTED_MM = 3.0
