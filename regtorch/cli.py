@@ -184,14 +184,15 @@ def _registered(
     return result
 
 
-def _expected_errors(result, targets) -> dict[str, dict[str, float]]:
-    """Of where each target is projected to, mm in the detector plane."""
+def _expected_errors(result, targets) -> dict[str, dict[str, float | None]]:
+    """Of where each target is projected to, mm in the detector plane; None where that cannot be told."""
     import torch
 
     if result.covariance is None or not targets:
         return {}
     errors = result.expected_errors_mm(torch.tensor(list(targets.values()), dtype=torch.float64)).tolist()
-    return {"expected_target_errors_mm": dict(zip(targets, errors, strict=True))}
+    known = [error if math.isfinite(error) else None for error in errors]
+    return {"expected_target_errors_mm": dict(zip(targets, known, strict=True))}
 
 
 def _print_result(result) -> None:

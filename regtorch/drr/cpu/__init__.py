@@ -1,4 +1,7 @@
-"""Fused CPU projectors (numba): values, exact derivatives by the rays, and adjoints, of every method."""
+"""Fused CPU projectors (numba): values, exact derivatives by the rays, and adjoints, of every method.
+
+What kernels call ``spacing`` are the six numbers of ``Volume.grid``: voxel sizes in mm, then sharpness.
+"""
 
 import numpy as np
 import torch
@@ -54,13 +57,13 @@ def project_with_jacobian(
 
 
 def _fill(data, rays, ray_jacobian, grid, images, jacobian, method):
-    twelve, along = rays.detach().contiguous().numpy(), grid.flatten().numpy()
+    twelve, six = rays.detach().contiguous().numpy(), grid.flatten().numpy()
     if method == "joseph":
         stacks = prepared(data, twelve, *images.shape[-2:])
-        joseph_images(*stacks, along, twelve, ray_jacobian, images, jacobian, get_num_threads())
+        joseph_images(*stacks, six, twelve, ray_jacobian, images, jacobian, get_num_threads())
     else:
         voxels = _voxels(data)
-        ray_images(method == "siddon", voxels, along, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads())
+        ray_images(method == "siddon", voxels, six, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads())
 
 
 def _empty(*shape: int) -> Tensor:
@@ -81,7 +84,7 @@ def pull_back_rays(
     method: str,
 ) -> Float[Tensor, "b 12"]:
     """Derivative by the rays of the sum of ``image_gradients`` times images, in float64."""
-    twelve, along, weights = (
+    twelve, six, weights = (
         rays.detach().contiguous().numpy(),
         grid.flatten().numpy(),
         image_gradients.contiguous().numpy(),
@@ -91,11 +94,11 @@ def pull_back_rays(
         tiles = -(-rows // TILE_ROWS) * -(-columns // TILE_COLUMNS)
         partial = np.zeros((len(twelve), tiles, 12))
         stacks = prepared(data, twelve, rows, columns)
-        joseph_pull_back(*stacks, along, twelve, weights, partial, get_num_threads())
+        joseph_pull_back(*stacks, six, twelve, weights, partial, get_num_threads())
     else:
         partial = np.zeros((len(twelve), rows, 12))
         voxels = _voxels(data)
-        ray_pull_back(method == "siddon", voxels, along, twelve, weights, partial, 16 * get_num_threads())
+        ray_pull_back(method == "siddon", voxels, six, twelve, weights, partial, 16 * get_num_threads())
     return torch.from_numpy(partial.sum(axis=1))
 
 
@@ -107,15 +110,15 @@ def pull_back_data(
     method: str,
 ) -> Float[Tensor, "*c d h w"]:
     """Derivative by the voxels of the same sum: the adjoint of projection."""
-    twelve, along, weights = (
+    twelve, six, weights = (
         rays.detach().contiguous().numpy(),
         grid.flatten().numpy(),
         image_gradients.contiguous().numpy(),
     )
     adjoints = np.zeros((_SHARES, *_voxels(data).shape), np.float32)
     if method == "joseph":
-        joseph_adjoint(along, twelve, weights, adjoints)
+        joseph_adjoint(six, twelve, weights, adjoints)
     else:
         voxels = _voxels(data)
-        ray_adjoint(method == "siddon", voxels, along, twelve, weights, adjoints)
+        ray_adjoint(method == "siddon", voxels, six, twelve, weights, adjoints)
     return torch.from_numpy(adjoints.sum(axis=0)).view_as(data)
