@@ -1,6 +1,6 @@
 """CT and radiograph: in and out of files, made into what the registration compares, checked."""
 
-from regtorch.imaging.attenuation import BONE_HU, attenuation, crop_to_anatomy, tissue_classes
+from regtorch.imaging.attenuation import BONE_HU, attenuation, bone_contrast, crop_to_anatomy, tissue_classes
 from regtorch.imaging.averaging import coarsen
 from regtorch.imaging.checks import check_radiograph, check_volume
 from regtorch.imaging.radiograph import Radiograph, level
@@ -14,6 +14,7 @@ __all__ = [
     "Radiograph",
     "Volume",
     "attenuation",
+    "bone_contrast",
     "check_radiograph",
     "check_volume",
     "coarsen",
