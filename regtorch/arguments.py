@@ -15,7 +15,7 @@ LEAST_PIXELS, _MOST_PIXELS = 8, 10_000
 _VIEWS = ("PA", "AP", "LAT", "LLAT", "RLAT")
 _VIEW_HELP = f"{', '.join(_VIEWS)} (LAT is LLAT: left side on the detector)"
 _CT_HELP = "folder of one DICOM series, NIfTI, NRRD or MHA"
-_TARGETS_HELP = "CSV of name,x,y,z (LPS mm)"
+_TARGETS_HELP = "named points (CSV of name,x,y,z in LPS mm; .mrk.json or .fcsv of 3D Slicer)"
 
 
 class _Parser(argparse.ArgumentParser):

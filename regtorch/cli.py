@@ -77,8 +77,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
     from regtorch.files import output_folder
     from regtorch.geometry import Detector
-    from regtorch.imaging import read_volume, write_radiograph
-    from regtorch.imaging.points import read_points
+    from regtorch.imaging import read_points, read_volume, write_radiograph
     from regtorch.registration.initial import check_in_front, initial_parameters
     from regtorch.simulation import draw_parameters, simulate
 
@@ -112,8 +111,7 @@ def _half_range(options: argparse.Namespace):
 
 def _register(options: argparse.Namespace) -> int:
     from regtorch.files import output_folder
-    from regtorch.imaging import check_radiograph, check_volume, read_radiograph, read_volume
-    from regtorch.imaging.points import read_points
+    from regtorch.imaging import check_radiograph, check_volume, read_points, read_radiograph, read_volume
 
     _use_threads(options.threads)
     if (options.landmark_ct is None) != (options.landmark_radiograph is None):
