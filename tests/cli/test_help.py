@@ -1,0 +1,20 @@
+"""What the commands say about themselves."""
+
+import subprocess
+import sys
+
+
+def test_help_describes_every_command_and_loads_nothing_heavy():
+    program = """
+import contextlib, sys
+from regtorch.cli import main
+for words in ([], ["demo"], ["simulate"], ["register"], ["evaluate"], None):
+    with contextlib.suppress(SystemExit):
+        main(["--version"] if words is None else [*words, "--help"])
+heavy = {"torch", "numpy", "numba", "SimpleITK", "matplotlib", "pandas", "cma"} & set(sys.modules)
+sys.exit(f"loads {heavy}" if heavy else 0)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    for word in ("Exit codes: 0", "demo", "--landmark-radiograph COLUMN ROW", "--targets FILE", "truth.json", "0.1.0"):
+        assert word in done.stdout
