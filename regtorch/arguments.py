@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
@@ -20,6 +21,10 @@ _TARGETS_HELP = "named points (CSV of name,x,y,z in LPS mm; .mrk.json or .fcsv o
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line; argparse would print the usage as well."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # that of Python 3.14; until then -1e1 is an option
 
     def error(self, message: str) -> NoReturn:
         message = " ".join(message.split())
