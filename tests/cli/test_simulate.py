@@ -1,10 +1,12 @@
 """A radiograph of a CT and the truth about it, from the command line."""
 
+import io
 import json
+import sys
 
 import numpy as np
 
-from .commands import PARAMETERS, SHARED, SIZE, run
+from .commands import PARAMETERS, SHARED, SIMULATE, SIZE, run
 
 
 def test_simulate_writes_a_radiograph_and_the_truth_of_the_contract(inputs):
@@ -33,3 +35,16 @@ def test_simulate_repeats_itself_by_seed_and_does_what_it_is_told(inputs, tmp_pa
     assert values["z_s_mm"] == 1200
     assert values["z_obj_mm"] > 0
     assert [values[key] for key in PARAMETERS if key not in ("z_s_mm", "z_obj_mm")] == [0] * 7
+
+
+def test_progress_is_shown_on_a_terminal_only(inputs, tmp_path, monkeypatch):
+    shown = {}
+    for terminal in (True, False):
+        stream = io.StringIO()
+        monkeypatch.setattr(stream, "isatty", lambda terminal=terminal: terminal)
+        monkeypatch.setattr(sys, "stderr", stream)
+        assert run(SIMULATE.format(i=inputs, o=tmp_path)) == 0
+        shown[terminal] = stream.getvalue()
+    steps = [shown[True].find(step) for step in ("reading the CT", "rendering the radiograph", "writing it")]
+    assert -1 < steps[0] < steps[1] < steps[2]
+    assert shown[False] == ""
