@@ -49,7 +49,7 @@ def _demo(options: argparse.Namespace) -> int:
     from regtorch.imaging import read_radiograph, write_radiograph, write_volume
     from regtorch.phantom import make_phantom
     from regtorch.registration import initial_parameters
-    from regtorch.simulation.simulate import DETECTOR, RANGES, draw_parameters, simulate
+    from regtorch.simulation.simulate import DETECTOR, RANGES, draw_geometry, simulate
 
     _use_threads(options.threads)
     names = ("phantom.nii.gz", "radiograph.tiff", "truth.json", *_RESULTS)
@@ -58,7 +58,7 @@ def _demo(options: argparse.Namespace) -> int:
         ct, targets = make_phantom()
         middle = initial_parameters(ct, DETECTOR, options.view)
         generator = torch.Generator().manual_seed(options.seed)
-        parameters = draw_parameters(middle, torch.tensor(RANGES), generator)
+        parameters = draw_geometry(ct, middle, torch.tensor(RANGES), options.view, generator)
         simulation = simulate(ct, parameters, options.view, targets=targets, photons=_DEMO_PHOTONS, seed=options.seed)
         write_volume(folder / "phantom.nii.gz", ct)
         write_radiograph(folder / "radiograph.tiff", simulation.image, DETECTOR, view=options.view)
@@ -77,8 +77,8 @@ def _simulate(options: argparse.Namespace) -> int:
     from regtorch.files import output_folder
     from regtorch.geometry import Detector
     from regtorch.imaging import read_points, read_volume, write_radiograph
-    from regtorch.registration.initial import check_in_front, initial_parameters
-    from regtorch.simulation import draw_parameters, simulate
+    from regtorch.registration import initial_parameters
+    from regtorch.simulation import draw_geometry, simulate
 
     _use_threads(options.threads)
     detector = Detector(options.rows, options.columns, options.pixel_mm)
@@ -88,8 +88,7 @@ def _simulate(options: argparse.Namespace) -> int:
         targets = read_points(options.targets) if options.targets else None
         middle = initial_parameters(ct, detector, options.view, sdd_mm=options.sdd_mm)
         generator = torch.Generator().manual_seed(options.seed)
-        parameters = draw_parameters(middle, _half_range(options), generator)
-        check_in_front(ct, parameters, options.view)
+        parameters = draw_geometry(ct, middle, _half_range(options), options.view, generator)
         progress(0.15, "rendering the radiograph")
         simulation = simulate(
             ct, parameters, options.view, detector=detector, threshold_hu=options.threshold_hu,

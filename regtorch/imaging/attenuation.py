@@ -1,14 +1,18 @@
-"""HU to linear attenuation, and the box of what attenuates."""
+"""HU to linear attenuation, and the boxes of what attenuates."""
 
 from dataclasses import replace
 
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.imaging.volume import Volume
 
 AIR_HU = -1000.0
 
+BODY_HU = -300.0
+"""The patient lies above, air below; fat has about -100."""
 
 BONE_HU = 100.0
 """The paper's threshold T: soft tissue lies below 80 HU, bone above 150."""
@@ -59,15 +63,27 @@ def crop_to_anatomy(volume: Volume) -> Volume:
     if volume.unit != "per_mm":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected an attenuation per mm")
     nonzero = (volume.data != 0).reshape(-1, *volume.data.shape[-3:]).any(0)
-    box = []
-    for axis in range(3):
-        others = tuple(a for a in range(3) if a != axis)
-        found = nonzero.any(others[1]).any(others[0]).nonzero().flatten()
-        if not len(found):
-            raise RegtorchError(f"{volume.name}: nothing attenuates, expected some anatomy")
-        box.append((max(0, int(found[0]) - 1), min(nonzero.shape[axis], int(found[-1]) + 2)))
-    (k0, k1), (j0, j1), (i0, i1) = box
+    if not (box := _box(nonzero)):
+        raise RegtorchError(f"{volume.name}: nothing attenuates, expected some anatomy")
+    around = [(max(0, low - 1), min(n, high + 2)) for (low, high), n in zip(box, nonzero.shape, strict=True)]
+    (k0, k1), (j0, j1), (i0, i1) = around
     first = torch.tensor([i0, j0, k0, 1], dtype=torch.float64)
     patient_from_voxel = volume.patient_from_voxel.clone()
     patient_from_voxel[:, 3] = volume.patient_from_voxel @ first
     return volume.on_grid(volume.data[..., k0:k1, j0:j1, i0:i1].contiguous(), patient_from_voxel)
+
+
+def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
+    """Corners, in the ``ct`` frame (mm), of the box around all voxels over a threshold; of the CT if none is."""
+    box = _box(ct.data > above_hu) or [(0, n - 1) for n in ct.data.shape]
+    corners = torch.cartesian_prod(*(torch.tensor(ends, dtype=torch.float64) for ends in reversed(box)))
+    in_patient = corners @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
+    return in_patient - ct.origin_patient_mm
+
+
+def _box(voxels: Bool[Tensor, "d h w"]) -> list[tuple[int, int]]:
+    """First and last index along k, j and i of the voxels that are true; nothing if none is."""
+    if not bool(voxels.any()):
+        return []
+    along = (voxels.any(2).any(1), voxels.any(2).any(0), voxels.any(1).any(0))
+    return [(int(found[0]), int(found[-1])) for found in (line.nonzero().flatten() for line in along)]

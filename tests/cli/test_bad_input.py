@@ -57,7 +57,7 @@ BAD = [
     ("simulate {i}/soft.mha --view PA --out {o}/new", "soft.mha: no voxel over 100 HU"),
     (f"{REGISTER} --sdd-mm 200", "SDD of 200 mm: in this PA view ct.nii.gz reaches"),
     (f"{SIMULATE} --sdd-mm 200", "SDD of 200 mm: in this PA view ct.nii.gz reaches"),
-    (f"{SIMULATE} --sdd-mm 240 --source-range-mm 0 0 0 --patient-range-mm 0 0 200", "SDD of 240 mm"),
+    (f"{SIMULATE} --sdd-mm 240 --source-range-mm 0 0 0 --patient-range-mm 0 0 10000", "in all of 100 geometries drawn"),
     # radiograph
     *(
         (f"register {{i}}/ct.nii.gz {{i}}/{name} --view PA --out {{o}}/new", f"{{i}}/{name}: {what}")
