@@ -117,4 +117,4 @@ def _point(told: str, numbers: Any, sign: int = 1) -> Point:
         x = y = z = math.nan
     if isinstance(numbers, str) or not math.isfinite(x + y + z):
         raise RegtorchError(f"{told}, expected a name and x, y, z in mm")
-    return sign * x, sign * y, z
+    return sign * x + 0.0, sign * y + 0.0, z  # 0.0 makes -0.0 plain again
