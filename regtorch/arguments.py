@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
@@ -15,11 +16,15 @@ LEAST_PIXELS, _MOST_PIXELS = 8, 10_000
 _VIEWS = ("PA", "AP", "LAT", "LLAT", "RLAT")
 _VIEW_HELP = f"{', '.join(_VIEWS)} (LAT is LLAT: left side on the detector)"
 _CT_HELP = "folder of one DICOM series, NIfTI, NRRD or MHA"
-_TARGETS_HELP = "CSV of name,x,y,z (LPS mm)"
+_TARGETS_HELP = "named points (CSV of name,x,y,z in LPS mm; .mrk.json or .fcsv of 3D Slicer)"
 
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line; argparse would print the usage as well."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # that of Python 3.14; until then -1e1 is an option
 
     def error(self, message: str) -> NoReturn:
         message = " ".join(message.split())

@@ -6,6 +6,7 @@ from regtorch.imaging.checks import check_radiograph, check_volume
 from regtorch.imaging.radiograph import Radiograph, level
 from regtorch.imaging.radiograph_files import read_radiograph
 from regtorch.imaging.radiograph_writer import write_radiograph
+from regtorch.imaging.target_files import read_points
 from regtorch.imaging.volume import Volume
 from regtorch.imaging.volume_files import read_volume, write_volume
 
@@ -20,6 +21,7 @@ __all__ = [
     "coarsen",
     "crop_to_anatomy",
     "level",
+    "read_points",
     "read_radiograph",
     "read_volume",
     "tissue_classes",

@@ -1,13 +1,19 @@
-"""HU to linear attenuation, and the box of what attenuates."""
+"""HU to linear attenuation, and the boxes of what attenuates."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.imaging.volume import Volume
 
 AIR_HU = -1000.0
+
+BODY_HU = -300.0
+"""The patient lies above, air below; fat has about -100."""
 
 BONE_HU = 100.0
 """The paper's threshold T: soft tissue lies below 80 HU, bone above 150."""
@@ -67,18 +73,30 @@ def crop_to_anatomy(volume: Volume, *, threshold_hu: float | None = BONE_HU) -> 
     if volume.unit != "HU":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected HU")
     least = -torch.inf if threshold_hu is None else threshold_hu
-    in_plane = volume.data.amax(0)
-    box = []
-    for highest in (volume.data.flatten(1).amax(1), in_plane.amax(1), in_plane.amax(0)):
-        found = ((highest > AIR_HU) & (highest >= least)).nonzero().flatten()
-        if not len(found):
-            raise _nothing_attenuates(volume, threshold_hu)
-        box.append((max(0, int(found[0]) - 1), min(len(highest), int(found[-1]) + 2)))
-    (k0, k1), (j0, j1), (i0, i1) = box
+    if not (box := _box(volume, lambda hu: (hu > AIR_HU) & (hu >= least))):
+        raise _nothing_attenuates(volume, threshold_hu)
+    around = [(max(0, low - 1), min(n, high + 2)) for (low, high), n in zip(box, volume.data.shape, strict=True)]
+    (k0, k1), (j0, j1), (i0, i1) = around
     first = torch.tensor([i0, j0, k0, 1], dtype=torch.float64)
     patient_from_voxel = volume.patient_from_voxel.clone()
     patient_from_voxel[:, 3] = volume.patient_from_voxel @ first
-    return volume.on_grid(volume.data[..., k0:k1, j0:j1, i0:i1], patient_from_voxel)
+    return volume.on_grid(volume.data[k0:k1, j0:j1, i0:i1], patient_from_voxel)
+
+
+def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
+    """Corners, in the ``ct`` frame (mm), of the box around all voxels over a threshold; of the CT if none is."""
+    box = _box(ct, lambda hu: hu > above_hu) or [(0, n - 1) for n in ct.data.shape]
+    corners = torch.cartesian_prod(*(torch.tensor(ends, dtype=torch.float64) for ends in reversed(box)))
+    in_patient = corners @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
+    return in_patient - ct.origin_patient_mm
+
+
+def _box(ct: Volume, inside: Callable[[Tensor], Tensor]) -> list[tuple[int, int]]:
+    """First and last index along k, j and i of what is ``inside`` by its HU, as all denser is too; nothing if none."""
+    across = ct.data.amax(0)
+    highest = ct.data.flatten(1).amax(1), across.amax(1), across.amax(0)
+    found = [inside(line).nonzero().flatten() for line in highest]
+    return [(int(places[0]), int(places[-1])) for places in found] if len(found[0]) else []
 
 
 def _nothing_attenuates(volume: Volume, threshold_hu: float | None) -> RegtorchError:
