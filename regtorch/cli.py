@@ -8,7 +8,7 @@ from pathlib import Path
 
 from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, parser
 from regtorch.errors import RegtorchError
-from regtorch.report import print_evaluation, print_result, progress_bar, to_json, write_json
+from regtorch.output import print_evaluation, print_result, progress_bar, to_json, write_json
 
 _OK, _NOT_SURE, _INTERRUPTED = 0, 3, 130
 _DEMO_PHOTONS = 2e5

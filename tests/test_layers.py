@@ -27,7 +27,7 @@ BELOW = {
 }
 BELOW["plotting"] = set(BELOW) - {"files"}
 BELOW["arguments"] = {"errors"}  # of the command line
-BELOW["report"] = {"errors"}
+BELOW["output"] = {"errors"}
 BELOW["cli"] = set(BELOW)
 
 

@@ -31,8 +31,8 @@ class Stage:
 
 
 _PLACE_MM = 10.0
-_WEAK = 0.28
-"""The best start's mean similarity of bone and all tissue: 0.36 and more for right radiographs, up to 0.25 for another
+_WEAK = 0.3
+"""The best start's mean similarity of bone and all tissue: 0.35 and more for right radiographs, up to 0.29 for another
 patient's, mirrored ones and those upside down, but for some that had a rival or lay at a limit of the range."""
 _AS_THEY_ARE = 1e-3
 """Voxels per pixel for a volume that is coarse already."""
