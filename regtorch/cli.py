@@ -1,4 +1,4 @@
-"""Command line: demo, simulate, register, evaluate. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed."""
+"""Command line: demo, simulate, register, evaluate, report. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed."""
 
 import argparse
 import json
@@ -19,9 +19,9 @@ _RESULTS = ("result.json", "overlay.png")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
     options = parser().parse_args(arguments)
-    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate}[options.command]
+    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate, "report": _report}
     try:
-        return run(options)
+        return run[options.command](options)
     except (RegtorchError, OSError) as error:
         print(f"regtorch: error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
@@ -238,9 +238,23 @@ def _print_evaluation(found: dict[str, Any]) -> None:
         print(f"  {key:10} {value:+10.4f}")
 
 
+def _report(options: argparse.Namespace) -> int:
+    from regtorch.report import report
+
+    folder = Path(options.folder)
+    out = Path(options.out) if options.out else folder / "report.html"
+    _write_text(out, report(folder))
+    print(f"wrote {out}")
+    return _OK
+
+
 def _write_json(path: Path, content: dict[str, Any]) -> None:
+    _write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
     try:
-        path.write_text(json.dumps(content, indent=2) + "\n")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RegtorchError(f"{path}: {error.strerror}, expected a file to write to") from None
 

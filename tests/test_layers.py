@@ -26,6 +26,7 @@ BELOW = {
     "registration": {"errors", "geometry", "imaging", "drr", "similarity", "scoring", "evaluation", "optimization"},
 }
 BELOW["plotting"] = set(BELOW) - {"files"}
+BELOW["report"] = {"errors"}  # of tables and pictures alone
 BELOW["arguments"] = {"errors"}  # of the command line
 BELOW["cli"] = set(BELOW)
 
