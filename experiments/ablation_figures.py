@@ -39,7 +39,7 @@ def main(folder: Path, reference: str | None = None) -> None:
     rows = rows[rows.pde_mm.notna()]
     arms = sorted(rows["arm"].unique(), key=natural) if "arm" in rows else []
     if len(arms) < 2:
-        raise RegtorchError(f"{folder}: {len(arms)} arms, expected two or more to compare")
+        raise RegtorchError(f"{folder}: arms [{', '.join(arms)}], expected two or more to compare")
     reference = reference or arms[0]
     if reference not in arms:
         raise RegtorchError(f"--reference {reference}: expected one of {', '.join(arms)}")

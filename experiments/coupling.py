@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from regtorch.report.style import palette
+from regtorch.report.style import legend_above, palette
 
 _FOUND_MM = 5.0
 
@@ -36,17 +36,16 @@ def coupling_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
             for dof, colour, marker in zip(freedoms, palette(len(freedoms)), "osD", strict=False):
                 some = rows[(rows["view"] == view) & (rows.dof == dof)]
                 source, patient = some[f"error_{axis}_s_mm"], some[f"error_{axis}_obj_mm"]
-                axes.scatter(source, patient, size, color=colour, marker=marker, linewidths=0, alpha=0.6, label=dof)
-            expected, fitted = slopes(rows[(rows["view"] == view) & (rows.dof == 6)], axis)
-            axes.axline((0, 0), slope=expected, color="0.2", linestyle="--", linewidth=1.2)
-            text = f"ODD:SDD {expected:.2f}\nslope {fitted:.2f}"
-            axes.text(0.04, 0.95, text, transform=axes.transAxes, fontsize=10, **box)
+                point = {"color": colour, "marker": marker, "linewidths": 0, "alpha": 0.6}
+                axes.scatter(source, patient, size, label=f"{dof}-DOF", **point)
             axes.set_title(f"{view}, {axis}")
+            six = rows[(rows["view"] == view) & (rows.dof == 6)]
+            if len(six):
+                expected, fitted = slopes(six, axis)
+                axes.axline((0, 0), slope=expected, color="0.2", linestyle="--", linewidth=1.2)
+                text = f"ODD:SDD {expected:.2f}\nslope {fitted:.2f}"
+                axes.text(0.04, 0.95, text, transform=axes.transAxes, fontsize=10, **box)
     figure.supxlabel("error of the source (mm)", fontsize=11)
     figure.supylabel("error of the patient (mm)", fontsize=11)
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, [f"{dof}-DOF" for dof in labels], loc="outside upper center", ncols=len(labels), frameon=False,
-        markerscale=1.5,
-    )  # fmt: skip
+    legend_above(figure, len(freedoms))
     return figure

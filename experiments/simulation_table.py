@@ -28,13 +28,13 @@ def table(rows: pd.DataFrame) -> str:
     """Four tables: beside the paper; by arm and view; errors of the parameters; how those of 6-DOF go together."""
     note = "Millimetres and degrees; PDE in the detector plane. Medians, where nothing else is said; in brackets\n"
     note += "their 95 % interval by bootstrap. Paper: Otake et al., 2015, section 3.1; its seconds on a GTX TITAN.\n"
-    return "\n".join(
-        [
-            "## Beside the paper\n", _beside_the_paper(rows), "## By arm and view\n",
-            markdown.table(*headline(rows, ["arm", "view"])), "## Errors of the parameters\n", _errors(rows),
-            "## Errors of the patient by those of the source, 6-DOF\n", _slopes(rows), note,
-        ]
-    )  # fmt: skip
+    tables = {
+        "Beside the paper": _beside_the_paper(rows),
+        "By arm and view": markdown.table(*headline(rows, ["arm", "view"])),
+        "Errors of the parameters": _errors(rows),
+        "Errors of the patient by those of the source, 6-DOF": _slopes(rows[rows.dof == 6]),
+    }
+    return "\n".join([*(f"## {title}\n\n{table}" for title, table in tables.items() if table), note])
 
 
 def _beside_the_paper(rows: pd.DataFrame) -> str:
@@ -77,7 +77,7 @@ def _errors(rows: pd.DataFrame) -> str:
 
 def _slopes(rows: pd.DataFrame) -> str:
     lines = []
-    for (view,), some in groups_of(rows[rows.dof == 6], ["view"]):
+    for (view,), some in groups_of(rows, ["view"]):
         found = [slopes(some, axis) for axis in "xyz"]
         lines.append([view, f"{found[0][0]:.3f}", *(f"{slope:.3f}" for _, slope in found)])
     return markdown.table(["view", "ODD:SDD", "x", "y", "z"], lines)

@@ -10,6 +10,7 @@ from typing import Any
 
 from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, parser
 from regtorch.errors import RegtorchError
+from regtorch.files import write_json, write_text
 
 _OK, _NOT_SURE, _INTERRUPTED = 0, 3, 130
 _DEMO_PHOTONS = 2e5
@@ -63,7 +64,7 @@ def _demo(options: argparse.Namespace) -> int:
         simulation = simulate(ct, parameters, options.view, targets=targets, photons=_DEMO_PHOTONS, seed=options.seed)
         write_volume(folder / "phantom.nii.gz", ct)
         write_radiograph(folder / "radiograph.tiff", simulation.image, DETECTOR, view=options.view)
-        _write_json(folder / "truth.json", simulation.to_dict())
+        write_json(folder / "truth.json", simulation.to_dict())
         radiograph = read_radiograph(folder / "radiograph.tiff", view=options.view)
         result = _registered(options, folder, ct, radiograph, simulation.targets, [])
     _print_result(result)
@@ -97,7 +98,7 @@ def _simulate(options: argparse.Namespace) -> int:
             photons=options.photons, targets=targets, seed=options.seed,
         )  # fmt: skip
         write_radiograph(folder / name, simulation.image, detector, view=options.view)
-        _write_json(folder / "truth.json", simulation.to_dict())
+        write_json(folder / "truth.json", simulation.to_dict())
     print(f"wrote {name} and truth.json with {len(simulation.targets)} targets to {options.out}")
     return _OK
 
@@ -177,7 +178,7 @@ def _registered(
         result = register(
             ct, radiograph, options.view, method=methods[method], seed=options.seed, progress=progress, **settings
         )
-    _write_json(folder / "result.json", result.to_dict() | _expected_errors(result, targets))
+    write_json(folder / "result.json", result.to_dict() | _expected_errors(result, targets))
     bone = attenuation(ct, threshold_hu=settings.get("threshold_hu", BONE_HU))
     moving = render(bone, result.parameters, radiograph.detector, options.view)
     write_overlay(folder / "overlay.png", radiograph, result, moving, targets)
@@ -223,7 +224,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         print(json.dumps(found, indent=2))
         return _OK
     if options.json:
-        _write_json(Path(options.json), found)
+        write_json(Path(options.json), found)
     _print_evaluation(found)
     return _OK
 
@@ -241,22 +242,10 @@ def _print_evaluation(found: dict[str, Any]) -> None:
 def _report(options: argparse.Namespace) -> int:
     from regtorch.report import report
 
-    folder = Path(options.folder)
-    out = Path(options.out) if options.out else folder / "report.html"
-    _write_text(out, report(folder))
+    out = Path(options.folder, "report.html") if options.out is None else Path(options.out)
+    write_text(out, report(Path(options.folder)))
     print(f"wrote {out}")
     return _OK
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    _write_text(path, json.dumps(content, indent=2) + "\n")
-
-
-def _write_text(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RegtorchError(f"{path}: {error.strerror}, expected a file to write to") from None
 
 
 if __name__ == "__main__":

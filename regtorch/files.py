@@ -1,11 +1,13 @@
-"""Output folders that are written whole or not at all."""
+"""Output folders that are written whole or not at all, and the text files in them."""
 
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from regtorch.errors import RegtorchError
 
@@ -36,6 +38,19 @@ def output_folder(path: str | Path, names: Iterable[str] = ()) -> Iterator[Path]
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
         _remove_empty(missing)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Raises ``RegtorchError`` where ``path`` cannot be written."""
+    write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Raises ``RegtorchError`` where ``path`` cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RegtorchError(f"{path}: {error.strerror}, expected a file to write to") from None
 
 
 def _remove_empty(folders: list[Path]) -> None:

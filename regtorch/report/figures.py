@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from regtorch.report.rows import groups_of
-from regtorch.report.style import PALETTE, clipped, palette, plain_logarithmic
+from regtorch.report.style import PALETTE, clipped, legend_above, palette, plain_logarithmic
 
 _LOST_MM = 5.0
 _WIDTH, _HEIGHT, _LEGEND_LETTERS = 9.0, 3.6, 110
@@ -66,14 +66,11 @@ def _by_view(
     figure = Figure(figsize=(_WIDTH, _HEIGHT + 0.25 * lines), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
-    handles = {}
     for axes, view in zip(panels, views, strict=True):
         axes.set_title(view)
         for names, some in groups_of(rows[rows["view"] == view], others):
             label = ", ".join(names)
             draw(axes, some, labels.index(label) // len(PALETTE), {"color": colours[label], "label": label})
-        handles |= {handle.get_label(): handle for handle in axes.get_legend_handles_labels()[0]}
     if others:
-        shown = [handles[label] for label in labels]
-        figure.legend(handles=shown, loc="outside upper center", ncols=columns, frameon=False, markerscale=1.5)
+        legend_above(figure, columns)
     return figure

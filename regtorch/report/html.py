@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from regtorch.report.style import DPI
 
 _NUMBER = re.compile(r"([+-]?[\d.,e-]+|∞|, | to )*( %)?")
-_DASHES = re.compile(r"\|[ :|-]+\|")
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1a1a1a; --paper: #fff; --faint: #767676; --line: #d0d0d0; --band: #f4f4f4 }
@@ -22,10 +21,11 @@ body { margin: 2rem auto; padding: 0 1rem; max-width: 70rem; color: var(--ink); 
   font: 1rem/1.5 system-ui, sans-serif }
 h1 { margin-bottom: 0 } h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line) }
 .scroll { overflow-x: auto }
-table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums }
+table { margin: 1rem 0; border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums }
 th, td { padding: 0.25rem 0.6rem; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top }
 th { border-bottom: 2px solid var(--faint); vertical-align: bottom }
-td.number { text-align: right; white-space: nowrap }
+td:first-child { white-space: nowrap }
+.number { text-align: right; white-space: nowrap }
 tbody tr:nth-child(even) { background: var(--band) }
 figure { margin: 1.5rem 0; break-inside: avoid }
 figure img { max-width: 100%; background: #fff; border-radius: 4px }
@@ -58,8 +58,12 @@ def paragraph(text: str) -> str:
 
 def table(header: Sequence[str], lines: Sequence[Sequence[str]], pictures: Sequence[bytes | None] = ()) -> str:
     """A table of texts; ``pictures`` (PNG), one for each line, make a last column."""
-    head = "".join(f"<th>{escape(name)}</th>" for name in header)
-    cells = ["".join(map(_cell, line)) for line in lines]
+    columns = zip(*lines, strict=True) if lines else [()] * len(header)
+    kinds = [' class="number"' if all(map(_NUMBER.fullmatch, column)) else "" for column in columns]
+    head = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, header, strict=True))
+    cells = [
+        "".join(f"<td{kind}>{escape(text)}</td>" for kind, text in zip(kinds, line, strict=True)) for line in lines
+    ]
     if any(pictures):
         head += "<th>picture</th>"
         cells = [
@@ -82,26 +86,17 @@ def drawn(figure: Figure) -> bytes:
 
 
 def markdown(text: str) -> list[str]:
-    """What the studies' ``table.md`` hold: tables, headings, lines of text."""
-    parts, lines = [], []
-    for line in [*text.splitlines(), ""]:
-        if line.startswith("|"):
-            if not _DASHES.fullmatch(line.strip()):
-                lines.append([cell.strip() for cell in line.strip().strip("|").split("|")])
-            continue
-        if lines:
-            parts.append(table(lines[0], lines[1:]))
-            lines = []
-        if line.startswith("#"):
-            parts.append(f"<h3>{escape(line.lstrip('# '))}</h3>")
-        elif line:
-            parts.append(paragraph(line))
-    return parts
+    """What the studies' ``table.md`` hold: tables, headings, and paragraphs, with blank lines between them."""
+    return [_block(block.splitlines()) for block in re.split(r"\n\s*\n", text.strip()) if block]
 
 
-def _cell(text: str) -> str:
-    kind = ' class="number"' if _NUMBER.fullmatch(text) else ""
-    return f"<td{kind}>{escape(text)}</td>"
+def _block(lines: list[str]) -> str:
+    cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines]
+    if len(cells) > 2 and set(lines[1]) <= set("|-: ") and len(set(map(len, cells))) == 1:
+        return table(cells[0], cells[2:])
+    if lines[0].startswith("#"):
+        return f"<h3>{escape(lines[0].lstrip('# '))}</h3>"
+    return paragraph(" ".join(lines))
 
 
 def _image(png: bytes, text: str) -> str:

@@ -15,6 +15,7 @@ from regtorch.report.summary import distance, headline, worst
 
 _WORST = 10
 _BACKGROUND = "background_"
+_PICTURES = "Pictures: edges of the bones, in blue where they are, in orange where they were found."
 _NOTE = "PDE in the detector plane, mm. Medians, where nothing else is said; '95 %' is the 95th percentile."
 
 
@@ -35,7 +36,7 @@ def report(folder: Path) -> str:
     figures = [html.figure(path.read_bytes(), path.name) for path in pictures]
     parts.append(html.section("Figures of the folder", figures))
     if text.is_file():
-        parts.append(html.section("Tables of the folder", html.markdown(text.read_text(encoding="utf-8"))))
+        parts.append(html.section("Tables of the folder", html.markdown(text.read_text("utf-8", "replace"))))
     parts.append(html.section("Settings", _settings(folder)))
     return html.page(title, parts)
 
@@ -78,7 +79,8 @@ def _worst_cases(folder: Path, rows: pd.DataFrame, keys: list[str]) -> str:
         for _, row in some.iterrows()
     ]
     pictures = [_picture_of(folder, row, keys) for _, row in some.iterrows()]
-    return html.table([*texts, "PDE before", "PDE"], lines, pictures)
+    table = html.table([*texts, "PDE before", "PDE"], lines, pictures)
+    return table + html.paragraph(_PICTURES) if any(pictures) else table
 
 
 def _picture_of(folder: Path, row: pd.Series, keys: list[str]) -> bytes | None:

@@ -3,7 +3,10 @@
 import pandas as pd
 import seaborn as sns
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from regtorch.report.rows import natural
 
 PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#000000")
 """Okabe and Ito's, without the yellow that white paper swallows."""
@@ -33,6 +36,16 @@ def clipped(distance: pd.Series) -> pd.Series:
 def palette(count: int) -> list[str]:
     """As many colours, again from the first where there are more than colours."""
     return [PALETTE[number % len(PALETTE)] for number in range(count)]
+
+
+def legend_above(figure: Figure, columns: int) -> None:
+    """What the panels' labels say, in natural order and full colours."""
+    handles = {handle.get_label(): handle for axes in figure.axes for handle in axes.get_legend_handles_labels()[0]}
+    labels = sorted(handles, key=natural)
+    place = {"loc": "outside upper center", "ncols": columns, "frameon": False, "markerscale": 1.5}
+    legend = figure.legend([handles[label] for label in labels], labels, **place)
+    for handle in legend.legend_handles:
+        handle.set_alpha(1)
 
 
 def plain_logarithmic(axes: Axes, which: str = "y") -> None:
