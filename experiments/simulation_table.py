@@ -53,7 +53,7 @@ def _beside_the_paper(rows: pd.DataFrame) -> str:
 
 def _found(rows: pd.DataFrame) -> dict[str, str]:
     pde = rows.pde_mm
-    low, high = pde.quantile([0.25, 0.75])
+    low, high = pde.quantile([0.25, 0.75], interpolation="higher")
     found = {"n": f"{len(rows)}", "PDE before": distance(rows.initial_pde_mm.median()), "PDE": _median(pde)}
     found |= {f"PDE, {view}": _median(some) for view, some in pde.groupby(rows["view"])}
     found |= {"quartiles of PDE": f"{distance(low)} to {distance(high)}", "worst PDE": distance(pde.max())}

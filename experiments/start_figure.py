@@ -40,12 +40,14 @@ def start_figure(rows: pd.DataFrame, folder: Path) -> mpl.figure.Figure:
     figure, panels = plt.subplots(1, 2, figsize=size, sharex=True, sharey=True, layout="constrained")
     for axes, (view, middle, squares) in zip(panels, drawn, strict=True):
         background = folder / f"background_{view}.png"
-        lines = {"edgecolors": PALETTE[0], "linewidths": 0.6, "alpha": 0.4}
+        alpha = min(1, 12 / np.sqrt(len(squares) + 1))
+        colour = PALETTE[0]
         if background.is_file():
             extent = [-_HALF_MM, _HALF_MM, -_HALF_MM, _HALF_MM]
             axes.imshow(plt.imread(background), cmap="gray", extent=extent, zorder=0.6)  # over the grid
-            lines |= {"edgecolors": PALETTE[1], "alpha": 0.3}
-        axes.add_collection(PolyCollection(squares, facecolors="none", **lines))
+            colour = PALETTE[1]
+        lines = {"facecolors": "none", "edgecolors": colour, "linewidths": 0.6, "alpha": alpha}
+        axes.add_collection(PolyCollection(squares, **lines))
         frame = {"fill": False, "edgecolor": "black", "linewidth": 2}
         axes.add_patch(Rectangle((-_HALF_MM, -_HALF_MM), 2 * _HALF_MM, 2 * _HALF_MM, **frame))
         axes.add_patch(Circle(middle, 9, facecolor=YELLOW, edgecolor="black", linewidth=1.2, zorder=3))

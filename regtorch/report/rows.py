@@ -44,7 +44,9 @@ def read_rows(folder: Path) -> pd.DataFrame:
     for arm, paths in tables.items():
         part = pd.concat([_read(path) for path in paths], ignore_index=True)
         if arm and "arm" not in part:
-            part.insert(0, "arm", arm)
+            part["arm"] = arm
+        elif arm:  # its own, or one of several in a merged table
+            part["arm"] = part.arm.where(part.arm == arm, f"{arm}, " + part.arm)
         parts.append(part.drop_duplicates([*_named(part), "seed"], keep="last"))
     rows = pd.concat(parts, ignore_index=True)
     if rows.empty:
