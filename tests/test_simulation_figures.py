@@ -176,8 +176,8 @@ def test_an_ablation_needs_two_arms_and_a_reference_of_them(tmp_path):
 def test_a_table_may_lie_in_shards_that_a_kill_cut_short(tmp_path):
     rows = simulation_rows(4, {"a": 9}, ("PA",))
     text = rows.to_csv(index=False).splitlines(keepends=True)
-    (tmp_path / "registrations-0.csv").write_text("".join(text[:3]) + text[3][:200])
-    (tmp_path / "registrations-1.csv").write_text("".join([text[0], *text[3:]]))
+    (tmp_path / "registrations-0.csv").write_text("".join(text[:3]) + text[3].split(" starts")[0])
+    (tmp_path / "registrations-1.csv").write_text(text[0] + text[3][:200] + "\n" + "".join(text[3:]))
     found = read_rows(tmp_path).sort_values("seed")
     assert found.seed.tolist() == [0, 1, 2, 3]
     assert found.pde_mm.tolist() == pytest.approx(rows.pde_mm.tolist())

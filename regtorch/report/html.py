@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from regtorch.report.style import DPI
 
-_NUMBER = re.compile(r"([+-]?[\d.,e-]+|∞|, | to )*( %)?")
+_NUMBER = re.compile(r"(?:[-+\d.,e∞% ]|to)*")
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1a1a1a; --paper: #fff; --faint: #767676; --line: #d0d0d0; --band: #f4f4f4 }

@@ -1,6 +1,7 @@
 """The registrations of a study, whatever files of its folder they lie in."""
 
 import re
+from io import StringIO
 from pathlib import Path
 
 import pandas as pd
@@ -96,14 +97,15 @@ def _read(path: Path) -> pd.DataFrame:
         if path.suffix == ".parquet":
             rows = pd.read_parquet(path)
         else:
-            rows = pd.read_csv(path)
+            text = path.read_text(encoding="utf-8")
+            rows = pd.read_csv(StringIO(text[: text.rfind("\n") + 1]))  # the last row may be being written
     except (OSError, ValueError) as error:
         raise RegtorchError(f"{path}: cannot be read ({error}), expected a table of registrations") from None
     if missing := [column for column in _KNOWN if column not in rows]:
         raise RegtorchError(f"{path}: no column {missing[0]!r}, expected a table of registrations")
     if wrong := [column for column in _NUMBERS if not pd.api.types.is_numeric_dtype(rows[column])]:
         raise RegtorchError(f"{path}: {wrong[0]} is not of numbers, expected a table of registrations")
-    rows = rows[rows.status.notna()]  # missing where a kill cut the row short
+    rows = rows[rows.status.notna()]  # missing where a kill cut a row short
     kinds = dict.fromkeys(rows.select_dtypes("category"), str)
     return rows.astype(kinds | dict.fromkeys(rows.select_dtypes("float32"), "float64"))
 

@@ -51,7 +51,7 @@ def legend_above(figure: Figure, columns: int) -> None:
 def plain_logarithmic(axes: Axes, which: str = "y") -> None:
     """Ticks written out, 0.01 instead of 10 to the -2; to be called when all is drawn, for what it spans."""
     axis = axes.yaxis if which == "y" else axes.xaxis
-    axis.axes.set(**{f"{which}scale": "log"})
+    axes.set(**{f"{which}scale": "log"})
     low, high = axis.get_view_interval()
     subs = next((subs for subs, span in _TICKS.items() if high < span * low), (1,))
     axis.set_major_locator(LogLocator(subs=subs, numticks=12))
