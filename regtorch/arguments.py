@@ -116,6 +116,10 @@ def parser() -> argparse.ArgumentParser:
     add("result", metavar="RESULT", help="result.json")
     add("truth", metavar="TRUTH", help="truth.json")
     add("--json", metavar="FILE", nargs="?", const="-", help="also write it to FILE; without FILE print it as JSON")
+
+    add = _command(commands, "report", "make one HTML file of a study's folder: tables, figures, the worst cases")
+    add("folder", metavar="DIR", help="folder of the study, as the experiments leave it")
+    add("--out", metavar="FILE", help="file to write (DIR/report.html)")
     return top
 
 

@@ -1,4 +1,4 @@
-"""Command line: demo, simulate, register, evaluate. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed."""
+"""Command line: demo, simulate, register, evaluate, report. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed."""
 
 import argparse
 import math
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, parser
 from regtorch.errors import RegtorchError
+from regtorch.files import write_text
 from regtorch.output import print_evaluation, print_result, progress_bar, to_json, write_json
 
 _OK, _NOT_SURE, _INTERRUPTED = 0, 3, 130
@@ -18,9 +19,9 @@ _RESULTS = ("result.json", "overlay.png")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
     options = parser().parse_args(arguments)
-    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate}[options.command]
+    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate, "report": _report}
     try:
-        return run(options)
+        return run[options.command](options)
     except (RegtorchError, OSError) as error:
         print(f"regtorch: error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
@@ -198,6 +199,15 @@ def _evaluate(options: argparse.Namespace) -> int:
     if options.json:
         write_json(Path(options.json), found)
     print_evaluation(found)
+    return _OK
+
+
+def _report(options: argparse.Namespace) -> int:
+    from regtorch.report import report
+
+    out = Path(options.folder, "report.html") if options.out is None else Path(options.out)
+    write_text(out, report(Path(options.folder)))
+    print(f"wrote {out}")
     return _OK
 
 

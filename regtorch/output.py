@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from regtorch.errors import RegtorchError
+from regtorch.files import write_text
 
 
 @contextmanager
@@ -66,10 +66,8 @@ def to_json(content: dict[str, Any]) -> str:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    try:
-        path.write_text(to_json(content) + "\n")
-    except OSError as error:
-        raise RegtorchError(f"{path}: {error.strerror}, expected a file to write to") from None
+    """Raises ``RegtorchError`` where ``path`` cannot be written."""
+    write_text(path, to_json(content) + "\n")
 
 
 def _with_null(value: Any) -> Any:
