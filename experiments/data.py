@@ -1,0 +1,25 @@
+"""What a study registers to: the embedded phantom or any CT, and the targets that accuracy is asked of."""
+
+from pathlib import Path
+
+from regtorch.imaging import Volume, read_volume
+from regtorch.imaging.points import read_points
+from regtorch.phantom import make_phantom
+from regtorch.simulation.simulate import bone_points
+
+Targets = dict[str, tuple[float, float, float]]
+
+
+def phantom(*, spacing_mm: float = 1.5) -> tuple[Volume, Targets]:
+    """The embedded phantom with cubic voxels of ``spacing_mm``; its targets (LPS mm) are the vertebrae's middles."""
+    return make_phantom(spacing_mm)
+
+
+def ct(*, path: str | Path, targets: str | Path | None = None) -> tuple[Volume, Targets]:
+    """A CT from a file or folder, and targets (LPS mm) from a file, or points spread over the bones.
+
+    Raises ``RegtorchError`` for files that are missing or cannot be read.
+    """
+    points = None if targets is None else read_points(targets)
+    volume = read_volume(path)
+    return volume, points or bone_points(volume)
