@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from experiments.rows import accuracy_of, cost_of, nine_parameters
-from experiments.table import append, done, refuse_to_mix
+from experiments.table import append, done, keep, refuse_to_mix
 from regtorch.geometry import Detector
 from regtorch.imaging import Radiograph, Volume, read_volume
 from regtorch.registration import initial_parameters, register
@@ -32,7 +32,7 @@ def main(config: DictConfig) -> None:
     numba.set_num_threads(config.threads)
     ct = read_volume(config.ct)
     folder = Path(config.out)
-    refuse_to_mix(config, folder, _CASES)
+    keep(refuse_to_mix(config, folder, _CASES), folder)
     cases = [
         (Path(config.ct).name, view, arm.dof, arm.radiograph_threshold_hu, seed)
         for arm in config.arms

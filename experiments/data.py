@@ -1,6 +1,10 @@
 """What a study registers to: the embedded phantom or any CT, and the targets that accuracy is asked of."""
 
+from functools import lru_cache
 from pathlib import Path
+
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from regtorch.imaging import Volume, read_volume
 from regtorch.imaging.points import read_points
@@ -8,6 +12,12 @@ from regtorch.phantom import make_phantom
 from regtorch.simulation.simulate import bone_points
 
 Targets = dict[str, tuple[float, float, float]]
+
+
+@lru_cache(maxsize=1)
+def read(component: str) -> tuple[Volume, Targets]:
+    """CT and targets of a component's YAML, once in a process, which may have several jobs."""
+    return instantiate(OmegaConf.create(component))()
 
 
 def phantom(*, spacing_mm: float = 1.5) -> tuple[Volume, Targets]:

@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from experiments.failures import went_wrong, write_picture
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
-from experiments.table import append, done, parse_shard, refuse_to_mix, table_name
+from experiments.table import append, done, keep, parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph, read_volume
@@ -51,7 +51,7 @@ def main(config: DictConfig) -> None:
     numba.set_num_threads(config.threads)
     table, own = table_and_cases(config)
     folder = Path(config.out)
-    refuse_to_mix(config, folder, _CASES, parts=("radiographs", "images"))
+    keep(refuse_to_mix(config, folder, _CASES, parts=("radiographs", "images")), folder)
     made = done(folder, KEY)
     study = Study(config)
     with tqdm(own, unit="registration", mininterval=1) as bar:

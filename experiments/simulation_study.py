@@ -22,28 +22,28 @@ from typing import Any
 import hydra
 import numba
 import torch
-from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
+from experiments.checks import CASES, component
+from experiments.data import read
 from experiments.failures import FAILED_MM, went_wrong, write_picture
 from experiments.geometries import Geometries, bone_voxels, centred, misplacement
+from experiments.merge import KEY
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
-from experiments.table import append, done, parse_shard, refuse_to_mix, table_name
+from experiments.table import append, done, keep, parse_shard, refuse_to_mix, table_name
 from regtorch.arguments import BAD_INPUT
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph
 from regtorch.registration import register
 
-KEY = ("arm", "view", "seed")
 COLUMNS = (
     *KEY, "dof", "redrawn", *(f"{name}_{key}" for name in ("true", "initial", "found", "error") for key in KEYS),
     "initial_pde_mm", "pde_mm", "target_error_mm", "expected_pde_mm", "within_region", "targets",
     "similarity", "status", "message", "evaluations", "seconds", "threads", "device", "version",
     "marker_x_mm", "marker_y_mm", *(f"corner{number}_{axis}_mm" for number in (1, 2, 3, 4) for axis in "xy"),
 )  # fmt: skip
-CASES = ("views", "seeds", "first_seed", "shard", "pictures", "threads", "out")
 
 Case = tuple[str, str, int]
 
@@ -59,14 +59,17 @@ def main(config: DictConfig) -> None:
 
 def run(config: DictConfig) -> None:
     """Does what is missing of the shard."""
+    if config.threads > numba.config.NUMBA_NUM_THREADS:
+        raise RegtorchError(f"threads={config.threads}: expected at most {numba.config.NUMBA_NUM_THREADS} here")
     torch.set_num_threads(config.threads)
     numba.set_num_threads(config.threads)
     folder = Path(config.out) / config.arm
     own = cases(config)
-    refuse_to_mix(config, folder, CASES)
+    settings = refuse_to_mix(config, folder, CASES)
     made = done(folder, KEY)
     missing = [case for case in own if tuple(map(str, case)) not in made]
     study = Study(config)
+    keep(settings, folder)
     name = config.arm if config.shard is None else f"{config.arm} {config.shard}"
     bar = tqdm(missing, name, len(own), initial=len(own) - len(missing), unit="registration", mininterval=1)
     for case in bar:
@@ -86,11 +89,11 @@ class Study:
     def __init__(self, config: DictConfig) -> None:
         self.config = config
         self.detector = Detector(**config.detector)
-        self.ct, self.targets = instantiate(config.data)()
+        self.ct, self.targets = read(OmegaConf.to_yaml(config.data))
         self.bone = bone_voxels(self.ct)
-        self.method = instantiate(config.registration, _convert_="all")
-        similarity = instantiate(config.similarity)
-        self.similarity = similarity if similarity.keywords else similarity.func  # which methods know by its identity
+        self.radiograph = component(config.radiograph)
+        self.method = component(config.registration)
+        self.similarity = component(config.similarity)
 
     def geometries(self, view: str) -> Geometries:
         default = nine_parameters(self.config.default).double()
@@ -112,8 +115,7 @@ class Study:
         _, view, seed = case
         geometries = self.geometries(view)
         true, redrawn = geometries.draw(seed)
-        make = instantiate(self.config.radiograph)
-        truth = make(self.ct, true, view, detector=self.detector, targets=self.targets, seed=seed)
+        truth = self.radiograph(self.ct, true, view, detector=self.detector, targets=self.targets, seed=seed)
         radiograph = Radiograph.from_image(truth.image, self.detector)
         result = register(
             self.ct,

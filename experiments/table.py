@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+import socket
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from regtorch.errors import RegtorchError
+
+SETTINGS = "settings.yaml"
 
 TABLES = "registrations*.csv"
 """Names of the tables in a study's folder: one, or one of each process that works on it."""
@@ -29,32 +32,42 @@ def table_name(shard: str | None) -> str:
     return "registrations.csv" if shard is None else f"registrations-{parse_shard(shard)[0]}.csv"
 
 
-def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts: Iterable[str] = ()) -> None:
-    """Rows of one folder share all settings but ``cases``, which say what was asked for; ``settings.yaml`` keeps them.
+def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts: Iterable[str] = ()) -> dict[str, Any]:
+    """Settings that all rows of a folder share: those but ``cases``, which say what was asked for.
 
-    Settings that are ``parts`` by name may get further ones. Raises ``RegtorchError`` where a setting has changed.
+    Settings that are ``parts`` by name may get further ones. Raises ``RegtorchError`` where one is not as kept there.
     """
     own = {key: value for key, value in OmegaConf.to_container(config).items() if key not in cases}
-    kept, before = folder / "settings.yaml", {}
+    kept = folder / SETTINGS
     if kept.exists():
         before = OmegaConf.to_container(OmegaConf.load(kept))
-        changed = [key for key in own if key not in parts and own[key] != before.get(key)]
+        changed = [key for key in own | before if key not in parts and own.get(key) != before.get(key)]
         for key in parts:
             old = before.get(key, {})
             changed += [f"{key}.{name}" for name in old if own[key].get(name, old[name]) != old[name]]
             own[key] = old | own[key]
         if changed:
             raise RegtorchError(f"{folder}: made with another {changed[0]!r}, expected that of {kept} or another out=")
-    if own != before:
-        folder.mkdir(parents=True, exist_ok=True)
-        whole = kept.with_name(f".settings-{os.getpid()}.yaml")  # other processes may read and write at the same time
-        whole.write_text(OmegaConf.to_yaml(OmegaConf.create(own)))
-        os.replace(whole, kept)
+    return own
+
+
+def keep(settings: dict[str, Any], folder: Path) -> None:
+    """Writes ``settings.yaml``, at one stroke: other processes may read and write it at the same time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    whole = folder / f".{socket.gethostname()}-{os.getpid()}.yaml"
+    whole.write_text(OmegaConf.to_yaml(OmegaConf.create(settings)))
+    os.replace(whole, folder / SETTINGS)
 
 
 def done(folder: Path, key: Iterable[str]) -> set[tuple[str, ...]]:
     """The cases, as the columns of ``key`` name them, that the folder's tables have."""
-    return {tuple(row[column] for column in key) for table in folder.glob(TABLES) for row in _whole_rows(table)}
+    tables = [csv.DictReader(io.StringIO(whole_lines(table), newline="")) for table in folder.glob(TABLES)]
+    return {tuple(row[column] for column in key) for rows in tables for row in rows}
+
+
+def whole_lines(table: Path) -> str:
+    """A table without what a kill left of a last row."""
+    return table.read_bytes()[: _whole_size(table)].decode()
 
 
 def append(table: Path, row: Mapping[str, Any]) -> None:
@@ -71,10 +84,4 @@ def append(table: Path, row: Mapping[str, Any]) -> None:
 
 
 def _whole_size(table: Path) -> int:
-    """Bytes up to the end of the last line: a kill may have cut one short."""
     return table.read_bytes().rfind(b"\n") + 1
-
-
-def _whole_rows(table: Path) -> csv.DictReader:
-    text = table.read_bytes()[: _whole_size(table)].decode()
-    return csv.DictReader(io.StringIO(text, newline=""))
