@@ -93,7 +93,7 @@ def _all_or_exit(jobs: Iterator[DictConfig]) -> None:
     try:
         for job in jobs:
             HydraConfig.instance().set_config(job)
-            check(job)
+            check(OmegaConf.masked_copy(job, [key for key in job if key != "hydra"]))
             table = Path(job.out, job.arm, table_name(job.shard))
             if table in tables:
                 raise RegtorchError(f"arm={job.arm}, shard={job.shard}: two jobs of the sweep, expected one for each")
@@ -114,7 +114,7 @@ def _jobs(config: DictConfig) -> Iterator[DictConfig]:
 
 def check(config: DictConfig) -> None:
     """Raises ``RegtorchError`` that names the key for any setting that no job could work with."""
-    if missing := sorted(OmegaConf.missing_keys(config) - OmegaConf.missing_keys(config.hydra)):
+    if missing := sorted(OmegaConf.missing_keys(config)):
         raise RegtorchError(f"{missing[0]}: nothing given, expected a value")
     for key, (fits, expected) in _RULES.items():
         value = OmegaConf.select(config, key)
@@ -128,8 +128,7 @@ def check(config: DictConfig) -> None:
     made = {key: _checked(config, key) for key in COMPONENTS}
     if made["registration"].func is hybrid and made["similarity"] is not gradient_correlation:
         raise RegtorchError("similarity: registration=hybrid expects gradient_correlation, others registration=cmaes")
-    own = OmegaConf.masked_copy(config, [key for key in config if key != "hydra"])
-    refuse_to_mix(own, Path(config.out, config.arm), CASES)
+    refuse_to_mix(config, Path(config.out, config.arm), CASES)
 
 
 def component(config: DictConfig) -> Callable[..., Any]:
