@@ -59,7 +59,7 @@ stop() {
     for file in "$folder/slurmd.pid" "$folder/slurmctld.pid" "$folder/munge/pid"; do
         [ -s "$file" ] || continue
         pid=$(cat "$file")
-        kill "$pid"
+        kill "$pid" 2>/dev/null || true
         while kill -0 "$pid" 2>/dev/null; do sleep 0.1; done
     done
 }

@@ -64,10 +64,10 @@ def test_kills_at_any_moment_leave_the_table_of_an_undisturbed_run(command, undi
         process = subprocess.Popen(command(f"out={tmp_path}"), cwd=ROOT, stderr=subprocess.DEVNULL)
         while process.poll() is None and (not table.exists() or table.read_bytes().count(b"\n") < wanted):
             time.sleep(0.05)
-        time.sleep(2 * moments.random())
+        time.sleep(moments.random() / 2)
         process.kill()
         assert process.wait() in (0, -signal.SIGKILL)
-    assert set(rows(tmp_path)) < set(undisturbed)
+    assert set(rows(tmp_path)) <= set(undisturbed)
     last = subprocess.run(command(f"out={tmp_path}"), cwd=ROOT, capture_output=True, check=True)
     assert b"16/16" in last.stderr
     assert rows(tmp_path) == undisturbed

@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,16 +23,13 @@ def test_two_joblib_workers_make_the_same_table(run, undisturbed, rows, tmp_path
 
 
 @pytest.fixture(scope="module")
-def slurm(tmp_path_factory) -> Iterator[None]:
+def slurm() -> Iterator[None]:
     """A SLURM of this machine alone."""
     if os.geteuid() or not all(map(shutil.which, ("slurmctld", "slurmd", "sbatch", "munged"))):
         pytest.skip("needs root and Debian's slurmctld, slurmd, slurm-client and munge")
-    folder = tmp_path_factory.mktemp("slurm")
-    for path in (folder, *folder.parents[:2]):
-        path.chmod(0o755)  # munged does not run as root
     script = ROOT / "tests" / "slurm.sh"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SLURM_CONF", str(folder / "slurm.conf"))
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SLURM_CONF", f"{folder}/slurm.conf")
         try:
             subprocess.run([script, "start", folder], check=True)
             yield
