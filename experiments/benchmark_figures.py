@@ -6,13 +6,13 @@ from pathlib import Path
 import matplotlib as mpl
 import matplotlib.ticker
 import pandas as pd
-import seaborn as sns
 
 mpl.use("agg")
 
 import matplotlib.pyplot as plt
 
-_PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000"]
+from experiments import markdown
+from regtorch.report.style import DPI, PALETTE, use_style
 
 _WANTED = [
     # case, implementation, threads (None: any), column, at least (1) or at most (-1), bound
@@ -37,13 +37,13 @@ _WANTED = [
 def main(folder: Path) -> None:
     rows = pd.read_csv(folder / "benchmark.csv")
     (folder / "table.md").write_text(wanted(rows) + "\n" + table(rows))
-    sns.set_theme(style="whitegrid", context="paper", font_scale=1.1)
-    cost_figure(rows).savefig(folder / "cost.png", dpi=150)
+    use_style()
+    cost_figure(rows).savefig(folder / "cost.png", dpi=DPI)
 
 
 def wanted(rows: pd.DataFrame) -> str:
     """Markdown: each claim, its bound and what was found."""
-    lines = ["| case | against | what | wanted | found | met |", "|---|---|---|---|---|---|"]
+    lines = []
     for case, implementation, threads, column, sign, bound in _WANTED:
         some = rows[(rows.case == case) & (rows.implementation == implementation)]
         some = some if threads is None else some[some.threads == threads]
@@ -52,8 +52,8 @@ def wanted(rows: pd.DataFrame) -> str:
         if len(value):
             found, met = f"{value.iloc[-1]:.3g}", "yes" if sign * (value.iloc[-1] - bound) >= 0 else "no"
         limit = f"{'at least' if sign > 0 else 'at most'} {bound:g}"
-        lines.append(f"| {case} | {implementation} | {column} | {limit} | {found} | {met} |")
-    return "\n".join(lines) + "\n"
+        lines.append([case, implementation, column, limit, found, met])
+    return markdown.table(["case", "against", "what", "wanted", "found", "met"], lines)
 
 
 def table(rows: pd.DataFrame) -> str:
@@ -62,10 +62,8 @@ def table(rows: pd.DataFrame) -> str:
     header += ["samples per second", "difference", "spread", "poses", "voxels", "MB"]
     columns = ["case", "implementation", "device", "threads", "per_second", "times_regtorch", "share_of_limit"]
     columns += ["samples_per_second", "relative_difference", "seconds_spread", "poses", "voxels", "megabytes"]
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    for _, row in rows[~rows.case.str.startswith("sweep")].iterrows():
-        lines.append("| " + " | ".join(_cell(column, row[column]) for column in columns) + " |")
-    return "\n".join(lines) + "\n"
+    some = rows[~rows.case.str.startswith("sweep")]
+    return markdown.table(header, [[_cell(column, row[column]) for column in columns] for _, row in some.iterrows()])
 
 
 def cost_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
@@ -75,7 +73,7 @@ def cost_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
     rows["ms"] = 1000 / rows.per_second
     names = sorted(rows[rows.case.str.startswith("sweep") | (rows.case == "threads")].implementation.unique())
     names.sort(key=lambda name: name != "regtorch")
-    colours = dict(zip(names, _PALETTE, strict=False))
+    colours = dict(zip(names, PALETTE, strict=False))
     figure, panels = plt.subplots(2, 2, figsize=(9, 7), constrained_layout=True)
     for panel, (case, column, label) in zip(
         panels.flat,

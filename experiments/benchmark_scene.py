@@ -75,7 +75,7 @@ class Scenes:
         return Scene(volume, drawn, detector, self.config.view)
 
     def _volume(self, threshold_hu: float | None, voxel_mm: float | None) -> Volume:
-        volume = crop_to_anatomy(attenuation(self.ct, threshold_hu=threshold_hu))
+        volume = attenuation(crop_to_anatomy(self.ct, threshold_hu=threshold_hu), threshold_hu=threshold_hu)
         return _in_air(volume if voxel_mm is None else coarsen(volume, float(voxel_mm)))
 
 

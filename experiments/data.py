@@ -6,8 +6,7 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from regtorch.imaging import Volume, read_volume
-from regtorch.imaging.points import read_points
+from regtorch.imaging import Volume, read_points, read_volume
 from regtorch.phantom import make_phantom
 from regtorch.simulation.simulate import bone_points
 

@@ -10,27 +10,29 @@ import seaborn as sns
 
 mpl.use("agg")
 
+from experiments import markdown
+from regtorch.report.rows import read_rows, shown
+from regtorch.report.style import DPI, clipped, palette, use_style
+from regtorch.report.summary import statuses
+
 _KEY = ["ct", "view", "kind", "seed"]
 _DECOY = "decoy_"
 _FAILED_MM, _GOOD_MM = 5.0, 2.0
-_SHOWN_MM = (1e-4, 1e3)
-_PALETTE = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#000000"]
 
 
 def main(folder: Path) -> None:
-    rows = pd.concat([pd.read_csv(path) for path in sorted(folder.glob("registrations*.csv"))])
-    rows = rows.drop_duplicates(_KEY).sort_values(_KEY, ignore_index=True)
-    rows["ct"] = rows.ct.str.partition(".")[0]
+    rows = read_rows(folder).sort_values(_KEY, ignore_index=True)
+    rows["ct"] = rows.ct.map(shown)
     decoy = rows.kind.str.startswith(_DECOY)
     right, decoys = rows[~decoy], rows[decoy]
     parts = [accuracy_table(right), verdict_table(right), decoy_table(decoys)]
     note = "PDE in the detector plane, mm. Medians, where nothing else is said; '95 %' is the 95th percentile.\n"
     (folder / "table.md").write_text("\n".join([*filter(None, parts), note]))
-    sns.set_theme(style="whitegrid", context="paper", font_scale=1.1)
+    use_style()
     if len(right):
-        pde_figure(right).savefig(folder / "pde.png", dpi=150)
+        pde_figure(right).savefig(folder / "pde.png", dpi=DPI)
     if right.expected_pde_mm.notna().any():
-        calibration_figure(right).savefig(folder / "calibration.png", dpi=150)
+        calibration_figure(right).savefig(folder / "calibration.png", dpi=DPI)
 
 
 def accuracy_table(rows: pd.DataFrame) -> str:
@@ -41,11 +43,11 @@ def accuracy_table(rows: pd.DataFrame) -> str:
     for (ct, view, kind), some in rows.groupby(_KEY[:3]):
         pde = some.pde_mm
         cells = [ct, view, kind, len(some), f"{some.initial_pde_mm.median():.0f}", f"{pde.median():.3g}"]
-        cells += [f"{pde.quantile(0.95, interpolation='higher'):.3g}", f"{pde.max():.3g}", _share(pde < _FAILED_MM)]
-        cells += [f"{some.seconds.median():.1f}", f"{some.seconds.quantile(0.95):.1f}"]
-        cells += [f"{some.evaluations.median():.0f}", _statuses(some)]
+        cells += [f"{pde.quantile(0.95, interpolation='higher'):.3g}", f"{pde.max():.3g}"]
+        cells += [markdown.share(pde < _FAILED_MM), f"{some.seconds.median():.1f}"]
+        cells += [f"{some.seconds.quantile(0.95):.1f}", f"{some.evaluations.median():.0f}", statuses(some.status)]
         lines.append(cells)
-    return _markdown(header, lines)
+    return markdown.table(header, lines)
 
 
 def verdict_table(rows: pd.DataFrame) -> str:
@@ -60,23 +62,25 @@ def verdict_table(rows: pd.DataFrame) -> str:
         told = some[some.expected_pde_mm.notna()]
         rank = told.expected_pde_mm.rank().corr(told.pde_mm.rank()) if len(told) > 2 else np.nan
         inside = some.within_region.dropna().astype(str) == "True"
-        cells = [kind, f"{int((ok & failed).sum())} of {int(failed.sum())}", _share(~ok[good])]
-        lines.append([*cells, "not told" if np.isnan(rank) else f"{rank:.2f}", _share(inside)])
-    return _markdown(header, lines)
+        cells = [kind, f"{int((ok & failed).sum())} of {int(failed.sum())}", markdown.share(~ok[good])]
+        lines.append([*cells, "not told" if np.isnan(rank) else f"{rank:.2f}", markdown.share(inside)])
+    return markdown.table(header, lines)
 
 
 def decoy_table(rows: pd.DataFrame) -> str:
     """Markdown: what became of images that fit nowhere."""
     groups = rows.groupby(_KEY[:3])
-    lines = [[ct, view, kind.removeprefix(_DECOY), len(some), _statuses(some)] for (ct, view, kind), some in groups]
-    return _markdown(["CT", "view", "decoy", "n", "statuses"], lines)
+    lines = [
+        [ct, view, kind.removeprefix(_DECOY), len(some), statuses(some.status)] for (ct, view, kind), some in groups
+    ]
+    return markdown.table(["CT", "view", "decoy", "n", "statuses"], lines)
 
 
 def pde_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
     """Share of the registrations up to each PDE."""
     grid = sns.displot(
-        data=rows.assign(pde=_shown(rows.pde_mm)), x="pde", hue="kind", row="ct", col="view", kind="ecdf",
-        palette=_palette(rows.kind), log_scale=(True, False), height=2.6, aspect=1.5,
+        data=rows.assign(pde=clipped(rows.pde_mm)), x="pde", hue="kind", row="ct", col="view", kind="ecdf",
+        palette=palette(rows.kind.nunique()), log_scale=(True, False), height=2.6, aspect=1.5,
     )  # fmt: skip
     grid.refline(x=_FAILED_MM)
     grid.set_axis_labels("projection distance error (mm)", "share of registrations")
@@ -88,9 +92,9 @@ def calibration_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
     """The PDE that a registration expects of itself, and the one that it has."""
     rows = rows[rows.expected_pde_mm.notna()]
     grid = sns.relplot(
-        data=rows.assign(expected=_shown(rows.expected_pde_mm), pde=_shown(rows.pde_mm)), x="expected", y="pde",
-        col="kind", hue="ct", style="status", style_order=["ok", "doubtful", "failed"], palette=_palette(rows.ct),
-        height=3.2, s=30, alpha=0.7,
+        data=rows.assign(expected=clipped(rows.expected_pde_mm), pde=clipped(rows.pde_mm)), x="expected", y="pde",
+        col="kind", hue="ct", style="status", style_order=["ok", "doubtful", "failed"],
+        palette=palette(rows.ct.nunique()), height=3.2, s=30, alpha=0.7,
     )  # fmt: skip
     for axes in grid.axes.flat:
         axes.set(xscale="log", yscale="log")
@@ -98,31 +102,6 @@ def calibration_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
     grid.set_axis_labels("expected PDE (mm)", "actual PDE (mm)")
     grid.set_titles("{col_name}")
     return grid.figure
-
-
-def _shown(distance: pd.Series) -> pd.Series:
-    """What a logarithmic axis can show; a target behind the source is infinitely far off."""
-    return distance.clip(*_SHOWN_MM)
-
-
-def _palette(names: pd.Series) -> list[str]:
-    return [_PALETTE[number % len(_PALETTE)] for number in range(names.nunique())]
-
-
-def _share(true: pd.Series) -> str:
-    return f"{100 * true.mean():.1f} % of {len(true)}" if len(true) else "none"
-
-
-def _statuses(rows: pd.DataFrame) -> str:
-    return ", ".join(f"{count} {status}" for status, count in rows.status.value_counts().items())
-
-
-def _markdown(header: list[str], lines: list[list[object]]) -> str:
-    """A table, nothing without lines."""
-    if not lines:
-        return ""
-    rows = ["| " + " | ".join(map(str, cells)) + " |" for cells in (header, *lines)]
-    return "\n".join([rows[0], "|" + "---|" * len(header), *rows[1:]]) + "\n"
 
 
 if __name__ == "__main__":

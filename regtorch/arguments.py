@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
@@ -15,11 +16,15 @@ LEAST_PIXELS, MOST_PIXELS = 8, 10_000
 _VIEWS = ("PA", "AP", "LAT", "LLAT", "RLAT")
 _VIEW_HELP = f"{', '.join(_VIEWS)} (LAT is LLAT: left side on the detector)"
 _CT_HELP = "folder of one DICOM series, NIfTI, NRRD or MHA"
-_TARGETS_HELP = "CSV of name,x,y,z (LPS mm)"
+_TARGETS_HELP = "named points (CSV of name,x,y,z in LPS mm; .mrk.json or .fcsv of 3D Slicer)"
 
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line; argparse would print the usage as well."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # that of Python 3.14; until then -1e1 is an option
 
     def error(self, message: str) -> NoReturn:
         message = " ".join(message.split())
@@ -111,6 +116,10 @@ def parser() -> argparse.ArgumentParser:
     add("result", metavar="RESULT", help="result.json")
     add("truth", metavar="TRUTH", help="truth.json")
     add("--json", metavar="FILE", nargs="?", const="-", help="also write it to FILE; without FILE print it as JSON")
+
+    add = _command(commands, "report", "make one HTML file of a study's folder: tables, figures, the worst cases")
+    add("folder", metavar="DIR", help="folder of the study, as the experiments leave it")
+    add("--out", metavar="FILE", help="file to write (DIR/report.html)")
     return top
 
 

@@ -1,15 +1,15 @@
-"""Command line: demo, simulate, register, evaluate. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed."""
+"""Command line: demo, simulate, register, evaluate, report. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed."""
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, parser
 from regtorch.errors import RegtorchError
+from regtorch.files import write_text
+from regtorch.output import print_evaluation, print_result, progress_bar, to_json, write_json
 
 _OK, _NOT_SURE, _INTERRUPTED = 0, 3, 130
 _DEMO_PHOTONS = 2e5
@@ -19,9 +19,9 @@ _RESULTS = ("result.json", "overlay.png")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
     options = parser().parse_args(arguments)
-    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate}[options.command]
+    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate, "report": _report}
     try:
-        return run(options)
+        return run[options.command](options)
     except (RegtorchError, OSError) as error:
         print(f"regtorch: error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
@@ -50,7 +50,7 @@ def _demo(options: argparse.Namespace) -> int:
     from regtorch.imaging import read_radiograph, write_radiograph, write_volume
     from regtorch.phantom import make_phantom
     from regtorch.registration import initial_parameters
-    from regtorch.simulation.simulate import DETECTOR, RANGES, draw_parameters, simulate
+    from regtorch.simulation.simulate import DETECTOR, RANGES, draw_geometry, simulate
 
     _use_threads(options.threads)
     names = ("phantom.nii.gz", "radiograph.tiff", "truth.json", *_RESULTS)
@@ -59,15 +59,15 @@ def _demo(options: argparse.Namespace) -> int:
         ct, targets = make_phantom()
         middle = initial_parameters(ct, DETECTOR, options.view)
         generator = torch.Generator().manual_seed(options.seed)
-        parameters = draw_parameters(middle, torch.tensor(RANGES), generator)
+        parameters = draw_geometry(ct, middle, torch.tensor(RANGES), options.view, generator)
         simulation = simulate(ct, parameters, options.view, targets=targets, photons=_DEMO_PHOTONS, seed=options.seed)
         write_volume(folder / "phantom.nii.gz", ct)
         write_radiograph(folder / "radiograph.tiff", simulation.image, DETECTOR, view=options.view)
-        _write_json(folder / "truth.json", simulation.to_dict())
+        write_json(folder / "truth.json", simulation.to_dict())
         radiograph = read_radiograph(folder / "radiograph.tiff", view=options.view)
         result = _registered(options, folder, ct, radiograph, simulation.targets, [])
-    _print_result(result)
-    _print_evaluation(evaluate(result.to_dict(), simulation.to_dict()))
+    print_result(result)
+    print_evaluation(evaluate(result.to_dict(), simulation.to_dict()))
     print(f"see {Path(options.out) / 'overlay.png'}")
     return _OK if result.status == "ok" else _NOT_SURE
 
@@ -77,27 +77,27 @@ def _simulate(options: argparse.Namespace) -> int:
 
     from regtorch.files import output_folder
     from regtorch.geometry import Detector
-    from regtorch.imaging import read_volume, write_radiograph
-    from regtorch.imaging.points import read_points
-    from regtorch.registration.initial import check_in_front, initial_parameters
-    from regtorch.simulation import draw_parameters, simulate
+    from regtorch.imaging import read_points, read_volume, write_radiograph
+    from regtorch.registration import initial_parameters
+    from regtorch.simulation import draw_geometry, simulate
 
     _use_threads(options.threads)
     detector = Detector(options.rows, options.columns, options.pixel_mm)
     name = f"radiograph.{options.format}"
-    with output_folder(options.out, (name, "truth.json")) as folder:
+    with output_folder(options.out, (name, "truth.json")) as folder, progress_bar("reading the CT") as progress:
         ct = read_volume(options.ct)
         targets = read_points(options.targets) if options.targets else None
         middle = initial_parameters(ct, detector, options.view, sdd_mm=options.sdd_mm)
         generator = torch.Generator().manual_seed(options.seed)
-        parameters = draw_parameters(middle, _half_range(options), generator)
-        check_in_front(ct, parameters, options.view)
+        parameters = draw_geometry(ct, middle, _half_range(options), options.view, generator)
+        progress(0.15, "rendering the radiograph")
         simulation = simulate(
             ct, parameters, options.view, detector=detector, threshold_hu=options.threshold_hu,
             photons=options.photons, targets=targets, seed=options.seed,
         )  # fmt: skip
+        progress(0.95, "writing it")
         write_radiograph(folder / name, simulation.image, detector, view=options.view)
-        _write_json(folder / "truth.json", simulation.to_dict())
+        write_json(folder / "truth.json", simulation.to_dict())
     print(f"wrote {name} and truth.json with {len(simulation.targets)} targets to {options.out}")
     return _OK
 
@@ -112,8 +112,7 @@ def _half_range(options: argparse.Namespace):
 
 def _register(options: argparse.Namespace) -> int:
     from regtorch.files import output_folder
-    from regtorch.imaging import check_radiograph, check_volume, read_radiograph, read_volume
-    from regtorch.imaging.points import read_points
+    from regtorch.imaging import check_radiograph, check_volume, read_points, read_radiograph, read_volume
 
     _use_threads(options.threads)
     if (options.landmark_ct is None) != (options.landmark_radiograph is None):
@@ -145,7 +144,7 @@ def _register(options: argparse.Namespace) -> int:
             landmark_patient_mm=options.landmark_ct and tuple(options.landmark_ct),
             landmark_stored=options.landmark_radiograph and tuple(options.landmark_radiograph),
         )  # fmt: skip
-    _print_result(result)
+    print_result(result)
     print(f"wrote result.json and overlay.png to {options.out}")
     return _OK if result.status == "ok" else _NOT_SURE
 
@@ -156,8 +155,6 @@ def _registered(
     """Register with a progress bar, write result.json and overlay.png."""
     from functools import partial
 
-    from tqdm import tqdm
-
     from regtorch import optimization
     from regtorch.drr import render
     from regtorch.imaging import BONE_HU, attenuation
@@ -166,49 +163,26 @@ def _registered(
     from regtorch.registration.evolution import evolution
     from regtorch.registration.hybrid import hybrid
 
-    def progress(share: float, what: str) -> None:
-        while warnings:  # only now is all input known to be good
-            tqdm.write(f"regtorch: warning: {warnings.pop(0)}", file=sys.stderr)
-        bar.set_description(what, refresh=False)
-        bar.update(round(100 * share, 1) - bar.n)
-
     methods = {"hybrid": hybrid, "cmaes": evolution, "pycma": partial(evolution, optimizer=optimization.pycma)}
-    with tqdm(total=100, disable=None, leave=False, bar_format="{desc} {bar} {elapsed} < {remaining}") as bar:
+    with progress_bar(warnings=warnings) as progress:
         result = register(
             ct, radiograph, options.view, method=methods[method], seed=options.seed, progress=progress, **settings
         )
-    _write_json(folder / "result.json", result.to_dict() | _expected_errors(result, targets))
+    write_json(folder / "result.json", result.to_dict() | _expected_errors(result, targets))
     bone = attenuation(ct, threshold_hu=settings.get("threshold_hu", BONE_HU))
     moving = render(bone, result.parameters, radiograph.detector, options.view)
     write_overlay(folder / "overlay.png", radiograph, result, moving, targets)
     return result
 
 
-def _expected_errors(result, targets) -> dict[str, dict[str, float | None]]:
-    """Of where each target is projected to, mm in the detector plane; None where that cannot be told."""
+def _expected_errors(result, targets) -> dict[str, dict[str, float]]:
+    """Of where each target is projected to, mm in the detector plane; not finite where that cannot be told."""
     import torch
 
     if result.covariance is None or not targets:
         return {}
     errors = result.expected_errors_mm(torch.tensor(list(targets.values()), dtype=torch.float64)).tolist()
-    known = [error if math.isfinite(error) else None for error in errors]
-    return {"expected_target_errors_mm": dict(zip(targets, known, strict=True))}
-
-
-def _print_result(result) -> None:
-    print(f"{result.status}: {result.message}")
-    for line in result.warnings:
-        print(f"warning: {line}")
-    print(f"similarity {result.similarity:.4f}, {result.evaluations} evaluations, {result.seconds:.1f} s")
-    found = result.to_dict()
-    if "expected_pde_mm" in found:
-        expected, limit = found["expected_pde_mm"], found["pde_95_mm"]
-        print(
-            f"expected error in the image {expected:.3f} mm, below {limit:.3f} mm in 95 % of cases like those simulated"
-        )
-    deviations = found.get("standard_deviations", {})
-    for key, value in found["parameters"].items():
-        print(f"  {key:10} {value:10.3f}" + (f" +- {deviations[key]:.3f}" if deviations else ""))
+    return {"expected_target_errors_mm": dict(zip(targets, errors, strict=True))}
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -220,29 +194,21 @@ def _evaluate(options: argparse.Namespace) -> int:
     except RegtorchError as error:
         raise RegtorchError(f"{options.result} and {options.truth}: {error}") from None
     if options.json == "-":
-        print(json.dumps(found, indent=2))
+        print(to_json(found))
         return _OK
     if options.json:
-        _write_json(Path(options.json), found)
-    _print_evaluation(found)
+        write_json(Path(options.json), found)
+    print_evaluation(found)
     return _OK
 
 
-def _print_evaluation(found: dict[str, Any]) -> None:
-    print(
-        f"pde_mm           {found['pde_mm']:.4f}   (mean over {len(found['targets'])} targets, in the detector plane)"
-    )
-    print(f"target_error_mm  {found['target_error_mm']:.4f}   (in space, seen from the detector)")
-    print("parameter_errors")
-    for key, value in found["parameter_errors"].items():
-        print(f"  {key:10} {value:+10.4f}")
+def _report(options: argparse.Namespace) -> int:
+    from regtorch.report import report
 
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    try:
-        path.write_text(json.dumps(content, indent=2) + "\n")
-    except OSError as error:
-        raise RegtorchError(f"{path}: {error.strerror}, expected a file to write to") from None
+    out = Path(options.folder, "report.html") if options.out is None else Path(options.out)
+    write_text(out, report(Path(options.folder)))
+    print(f"wrote {out}")
+    return _OK
 
 
 if __name__ == "__main__":

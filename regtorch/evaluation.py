@@ -39,9 +39,9 @@ def projection_distances(
 def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
     """Compare the contents of a ``result.json`` with those of a ``truth.json``.
 
-    Returns ``pde_mm`` (mean over the targets, in the detector plane), ``target_error_mm`` (mean distance in space
-    between where the two put a target, seen from the detector), ``targets`` (both, for each by name) and
-    ``parameter_errors`` (result less truth, mm and degrees; angles the short way round).
+    Returns ``pde_mm`` (mean over the targets, in the detector plane; infinite where either puts one behind the source),
+    ``target_error_mm`` (mean distance in space between where the two put a target, seen from the detector), ``targets``
+    (both, for each by name) and ``parameter_errors`` (result less truth, mm and degrees; angles the short way round).
     """
     if not same_view(result["view"], truth["view"]):
         raise RegtorchError(f"view {result['view']} of the result, expected {truth['view']} as in the truth")

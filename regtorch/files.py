@@ -1,4 +1,4 @@
-"""Output folders that are written whole or not at all."""
+"""Output folders that are written whole or not at all, and the text files in them."""
 
 import os
 import shutil
@@ -36,6 +36,14 @@ def output_folder(path: str | Path, names: Iterable[str] = ()) -> Iterator[Path]
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
         _remove_empty(missing)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Raises ``RegtorchError`` where ``path`` cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RegtorchError(f"{path}: {error.strerror}, expected a file to write to") from None
 
 
 def _remove_empty(folders: list[Path]) -> None:

@@ -26,7 +26,9 @@ BELOW = {
     "registration": {"errors", "geometry", "imaging", "drr", "similarity", "scoring", "evaluation", "optimization"},
 }
 BELOW["plotting"] = set(BELOW) - {"files"}
+BELOW["report"] = {"errors"}  # of tables and pictures alone
 BELOW["arguments"] = {"errors"}  # of the command line
+BELOW["output"] = {"files"}
 BELOW["cli"] = set(BELOW)
 
 

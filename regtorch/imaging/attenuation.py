@@ -1,14 +1,19 @@
-"""HU to linear attenuation, and the box of what attenuates."""
+"""HU to linear attenuation, and the boxes of what attenuates."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.imaging.volume import Volume
 
 AIR_HU = -1000.0
 
+BODY_HU = -300.0
+"""The patient lies above, air below; fat has about -100."""
 
 BONE_HU = 100.0
 """The paper's threshold T: soft tissue lies below 80 HU, bone above 150."""
@@ -32,11 +37,7 @@ def attenuation(
     if threshold_hu is not None:
         data.masked_fill_(volume.data < threshold_hu, 0)
     if not bool(data.any()):
-        limit = AIR_HU if threshold_hu is None else max(threshold_hu, AIR_HU)
-        raise RegtorchError(
-            f"{volume.name}: no voxel over {limit:g} HU (the highest has {float(volume.data.max()):g} HU), "
-            "expected a CT in HU with bone in it"
-        )
+        raise _nothing_attenuates(volume, threshold_hu)
     return volume.with_data(data, unit="per_mm")
 
 
@@ -54,20 +55,53 @@ def tissue_classes(
     return replace(whole, data=classes)
 
 
-def crop_to_anatomy(volume: Volume) -> Volume:
-    """The box of all voxels that attenuate and one voxel around it where there is one; the ``ct`` origin stays."""
-    if volume.unit != "per_mm":
-        raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected an attenuation per mm")
-    nonzero = (volume.data != 0).reshape(-1, *volume.data.shape[-3:]).any(0)
-    box = []
-    for axis in range(3):
-        others = tuple(a for a in range(3) if a != axis)
-        found = nonzero.any(others[1]).any(others[0]).nonzero().flatten()
-        if not len(found):
-            raise RegtorchError(f"{volume.name}: nothing attenuates, expected some anatomy")
-        box.append((max(0, int(found[0]) - 1), min(nonzero.shape[axis], int(found[-1]) + 2)))
-    (k0, k1), (j0, j1), (i0, i1) = box
+def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
+    """What ``attenuation`` left above a threshold, less what tissue just at the threshold attenuates: bone's contrast.
+
+    Bones in a body displace soft tissue, and a radiograph shows them by the difference. Without a threshold, or with
+    one of air, nothing is taken off.
+    """
+    soft = 0.0 if threshold_hu is None else max(0.0, MU_WATER_PER_MM * (1 - threshold_hu / AIR_HU))
+    return bone.with_data(bone.data.sub(soft).clamp_(min=0)) if soft > 0 else bone
+
+
+def crop_to_anatomy(volume: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
+    """The box of what ``attenuation`` leaves of a CT in HU, and one voxel around it; the ``ct`` origin stays.
+
+    A view of the CT's own voxels.
+    """
+    if volume.unit != "HU":
+        raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected HU")
+    least = -torch.inf if threshold_hu is None else threshold_hu
+    if not (box := _box(volume, lambda hu: (hu > AIR_HU) & (hu >= least))):
+        raise _nothing_attenuates(volume, threshold_hu)
+    around = [(max(0, low - 1), min(n, high + 2)) for (low, high), n in zip(box, volume.data.shape, strict=True)]
+    (k0, k1), (j0, j1), (i0, i1) = around
     first = torch.tensor([i0, j0, k0, 1], dtype=torch.float64)
     patient_from_voxel = volume.patient_from_voxel.clone()
     patient_from_voxel[:, 3] = volume.patient_from_voxel @ first
-    return volume.on_grid(volume.data[..., k0:k1, j0:j1, i0:i1].contiguous(), patient_from_voxel)
+    return volume.on_grid(volume.data[k0:k1, j0:j1, i0:i1], patient_from_voxel)
+
+
+def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
+    """Corners, in the ``ct`` frame (mm), of the box around all voxels over a threshold; of the CT if none is."""
+    box = _box(ct, lambda hu: hu > above_hu) or [(0, n - 1) for n in ct.data.shape]
+    corners = torch.cartesian_prod(*(torch.tensor(ends, dtype=torch.float64) for ends in reversed(box)))
+    in_patient = corners @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
+    return in_patient - ct.origin_patient_mm
+
+
+def _box(ct: Volume, inside: Callable[[Tensor], Tensor]) -> list[tuple[int, int]]:
+    """First and last index along k, j and i of what is ``inside`` by its HU, as all denser is too; nothing if none."""
+    across = ct.data.amax(0)
+    highest = ct.data.flatten(1).amax(1), across.amax(1), across.amax(0)
+    found = [inside(line).nonzero().flatten() for line in highest]
+    return [(int(places[0]), int(places[-1])) for places in found] if len(found[0]) else []
+
+
+def _nothing_attenuates(volume: Volume, threshold_hu: float | None) -> RegtorchError:
+    limit = AIR_HU if threshold_hu is None else max(threshold_hu, AIR_HU)
+    return RegtorchError(
+        f"{volume.name}: no voxel over {limit:g} HU (the highest has {float(volume.data.max()):g} HU), "
+        "expected a CT in HU with bone in it"
+    )

@@ -29,6 +29,7 @@ def levenberg_marquardt(
     steps: int,
     tolerance: float = 1e-3,
     damping: float = 1e-2,
+    least_gain: float = 2e-5,
     least_similarity: float = 0.1,
 ) -> Ascent:
     """Climb the mean rho of normalised correlations M F, whose residuals are M - F with Jacobian J.
@@ -36,8 +37,9 @@ def levenberg_marquardt(
     ``equations`` gives rho, J^T J and J^T (M - F) summed over the correlations. Where M and F are unlike, the curvature
     of rho is not J^T J but rho times that: M has constant length, so F M'' = -rho J^T J + what F has beside M. Steps
     are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units of ``scale``, and
-    taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, or is not taken though
-    strongly damped. Points stay between ``lower`` and ``upper``: a parameter at a limit that wants beyond rests.
+    taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, when one that is hardly
+    damped gains less than ``least_gain`` of what rho lacks to 1, or when one is not taken though strongly damped.
+    Points stay between ``lower`` and ``upper``: a parameter at a limit that wants beyond rests.
     """
     x = start.clamp(lower, upper)
     similarity, jtj, jtr = (part.clone() for part in equations(x))
@@ -63,11 +65,13 @@ def levenberg_marquardt(
         there = (here + step * scale).clamp(lower, upper)
         found, there_jtj, there_jtr = equations(there)
         evaluations += len(there)
-        better = found > similarity[active]
+        gain = found - similarity[active]
+        better = gain > 0
+        ended = better & (factor[active] < 1) & (gain < least_gain * (1 - found))
         taken = active[better]
         x[taken], similarity[taken] = there[better], found[better]
         jtj[taken], jtr[taken] = there_jtj[better], there_jtr[better]
         factor[active] *= torch.where(better, 0.25, 5.0).to(x)
         length = ((there - here) / scale).norm(dim=1)
-        active = active[~((length < tolerance) | (factor[active] > 1e4))]
+        active = active[~(ended | (length < tolerance) | (factor[active] > 1e4))]
     return Ascent(x, similarity, jtj, evaluations)

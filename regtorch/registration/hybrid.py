@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Volume
+from regtorch.imaging import Volume, bone_contrast
 from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
@@ -31,8 +31,8 @@ class Stage:
 
 
 _PLACE_MM = 10.0
-_WEAK = 0.28
-"""The best start's mean similarity of bone and all tissue: 0.36 and more for right radiographs, up to 0.25 for another
+_WEAK = 0.3
+"""The best start's mean similarity of bone and all tissue: 0.35 and more for right radiographs, up to 0.29 for another
 patient's, mirrored ones and those upside down, but for some that had a rival or lay at a limit of the range."""
 _AS_THEY_ARE = 1e-3
 """Voxels per pixel for a volume that is coarse already."""
@@ -54,24 +54,29 @@ def hybrid(
     edges_px: Sequence[float] = (1.0, 0.3),
     trusted_similarity: float = 0.9,
     soft_tissue: bool = True,
+    contrast: bool = True,
     screening: Callable[..., Candidates] = screen,
     climb: Climb = levenberg_marquardt,
 ) -> Found:
     """Screen ``poses`` draws for bone alone and for all tissue, climb from the best, refine what explains most.
 
-    Each tissue's best candidates climb on the ``first`` level with that tissue; those that go on are the best ones, but
-    at most three of a place. From there on all climb with bone alone, fewer on each level, and the mean of the
-    similarities of bone and of all tissue ranks them. ``Found.starts`` are the ends of the second level's climbs, by
-    that mean. On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is
-    marked down (``explained_weight``); on the second also from places beside it, along the flattest directions.
+    Each tissue's best candidates climb on the ``first`` level with that tissue, the better half of them all the way;
+    those that go on are the best ones, but at most three of a place. From there on all climb with bone alone, fewer on
+    each level, and the mean of bone's similarity and, on the second level, that of all tissue ranks them.
+    ``Found.starts`` are the ends of the second level's climbs, by that mean. On each level, and on the ``finest``, the
+    best one then climbs again, where what it did not explain is marked down (``explained_weight``); on the second also
+    from places beside it, along the flattest directions.
+
+    Where all tissue explains the radiograph better than bone on the first level, there is soft tissue, and bone shows
+    by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone alone.
 
     Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
     edges that look a pixel wide, on the finest level ``edges_px`` wide in turn. If in the end all tissue is more
     similar than ``trusted_similarity``, and than bone, it has not moved, and makes the answer.
 
-    For ablations: without ``soft_tissue`` bone does all; ``screening`` may be ``screen_one_by_one``, and ``climb`` be
-    ``optimization.evolve``, which knows no derivatives.
+    For ablations: without ``soft_tissue`` bone does all, and by all that it attenuates; ``screening`` may be
+    ``screen_one_by_one``, and ``climb`` be ``optimization.evolve``, which knows no derivatives.
 
     Raises ``RegtorchError`` for another similarity than gradient correlation, and for no poses, candidates or stages.
     """
@@ -84,35 +89,40 @@ def hybrid(
     def matcher(stage: Stage, tissue: Volume) -> Matcher:
         return Matcher.of(problem, stage.pixels, voxel_per_pixel, tissue, tally, climb)
 
-    def pyramid(tissue: Volume) -> list[Matcher]:
-        """First and later stages; each volume is made of the next finer one, which is far smaller than the CT."""
+    def pyramid(tissue: Volume, levels: Sequence[Stage]) -> list[Matcher]:
+        """Coarse to fine; each volume is made of the next finer one, which is far smaller than the CT."""
         matchers: list[Matcher] = []
-        for stage in reversed((first, *stages)):
+        for stage in reversed(levels):
             matchers.insert(0, matcher(stage, matchers[0].level.volume if matchers else tissue))
         return matchers
 
-    bone, whole = problem.attenuating, problem.whole
-    alike = not soft_tissue or (bone.data.shape == whole.data.shape and torch.equal(bone.data, whole.data))
-    tissues = (bone,) if alike else (bone, whole)
-    pyramids = [pyramid(tissue) for tissue in tissues]
+    alone, whole = problem.attenuating, problem.whole
+    alike = not soft_tissue or (alone.data.shape == whole.data.shape and torch.equal(alone.data, whole.data))
+    bone = alone if alike or not contrast else bone_contrast(alone, threshold_hu=problem.threshold_hu)
+    pyramids = [pyramid(bone, (first, *stages))]
+    if not alike:
+        pyramids.append(pyramid(whole, (first, stages[0])))
     candidates = []
     for number, (widest, *_) in enumerate(pyramids):
         problem.progress(0.2 * number, f"screening {poses} poses")
-        goes_on = max(1, stages[0].candidates // len(tissues))
+        goes_on = max(1, stages[0].candidates // len(pyramids))
         seed = (2 * problem.seed + number) % 2**32
         candidates.append(_screened(problem, widest, screening, poses, first, goes_on, seed))
-    parameters, starts, edges = torch.cat(candidates), None, torch.inf
+    if bone is not alone and candidates[0].similarity[0] > candidates[1].similarity[0]:
+        bone, pyramids[0] = alone, pyramid(alone, (first, *stages))
+    parameters, starts, edges = torch.cat([found.parameters for found in candidates]), None, torch.inf
     for number, stage in enumerate(stages):
         problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
-        matchers = [levels[number + 1].with_edges(edges) for levels in pyramids]
-        climbed = matchers[0].climb(parameters[: stage.candidates], stage.steps)
+        by_bone = pyramids[0][number + 1].with_edges(edges)
+        climbed = by_bone.climb(parameters[: stage.candidates], stage.steps)
         parameters = problem.embed(climbed.x)
-        together = sum([m.similarity(parameters) for m in matchers[1:]], climbed.similarity) / len(tissues)
+        together = sum([levels[1].similarity(parameters) for levels in pyramids[1:]], climbed.similarity)
+        together = together / len(pyramids)
         order = together.argsort(descending=True)
         parameters, together = parameters[order], together[order]
         starts = (parameters, together) if starts is None else starts
-        edges = _edges_px(matchers[0], parameters[0])
-        by_bone = matchers[0].with_edges(edges)
+        edges = _edges_px(by_bone, parameters[0])
+        by_bone = by_bone.with_edges(edges)
         best = parameters[0] if number else _along_the_flat(by_bone, parameters[0], stage.steps)
         best = _refined(by_bone, best, stage.steps).parameters
         rest = _distinct(problem, parameters, _PLACE_MM, len(parameters))[1:]
@@ -121,8 +131,7 @@ def hybrid(
     found = _finished(matcher(finest, bone), best, finest, edges_px)
     if not alike:
         problem.progress(0.9, "all tissue")
-        last = matchers[1].with_edges(edges)
-        if float(last.similarity(found.parameters[None])[0]) > trusted_similarity:
+        if float(pyramids[1][1].similarity(found.parameters[None])[0]) > trusted_similarity:
             other = _finished(matcher(finest, whole), found.parameters, finest, edges_px)
             found = other if other.plain_similarity > found.plain_similarity else found
     return Found(
@@ -145,13 +154,17 @@ def _screened(
     stage: Stage,
     goes_on: int,
     seed: int,
-) -> Float[Tensor, "n 9"]:
+) -> Candidates:
     screened = screening(problem, matcher.level, poses, seed).parameters
     matcher.tally.evaluations += poses
     chosen = _distinct(problem, screened, matcher.level.fixed.detector.pixel_mm, stage.candidates)
-    climbed = matcher.climb(screened[chosen], stage.steps)
-    places = problem.embed(climbed.x[climbed.similarity.argsort(descending=True)])
-    return places[_distinct(problem, places, _PLACE_MM, goes_on, each=3)]
+    halfway = matcher.climb(screened[chosen], stage.steps // 2)
+    better = halfway.similarity.argsort(descending=True)[: max(goes_on, len(chosen) // 2)]
+    climbed = matcher.climb(problem.embed(halfway.x[better]), stage.steps - stage.steps // 2)
+    order = climbed.similarity.argsort(descending=True)
+    places = problem.embed(climbed.x[order])
+    kept = _distinct(problem, places, _PLACE_MM, goes_on, each=3)
+    return Candidates(places[kept], climbed.similarity[order][kept])
 
 
 def _mirrored_similarity(

@@ -9,15 +9,13 @@ from torch import Tensor
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, pixel_from_patient, project, world_from_ct, world_from_patient_axes
 from regtorch.imaging import Volume
+from regtorch.imaging.attenuation import BODY_HU, corners_ct
 
 SDD_MM = 1000.0
 """Source-detector distance where nothing tells it, as in the paper."""
 
 SEARCH = (75.0, 75.0, 150.0, 150.0, 150.0, 150.0, *(math.radians(12),) * 3)
 """Half the range searched about the start, in mm and rad. Declared here: the paper's Table 1 is lost."""
-
-BODY_HU = -300.0
-"""What counts as patient rather than air when the patient is laid against the detector."""
 
 Point2 = tuple[float, float]
 Point3 = tuple[float, float, float]
@@ -43,7 +41,7 @@ def initial_parameters(
     axes = world_from_patient_axes(view)
     parameters = torch.zeros(9, dtype=torch.float64)
     parameters[2] = sdd_mm
-    parameters[5] = -float((body_corners_ct(ct) @ axes.mT)[:, 2].min())
+    parameters[5] = -float((corners_ct(ct, BODY_HU) @ axes.mT)[:, 2].min())
     check_in_front(ct, parameters, view)
     if (landmark_patient_mm is None) != (landmark_image is None):
         raise RegtorchError("a landmark in only one of CT and radiograph: expected it in both or in neither")
@@ -60,25 +58,12 @@ def initial_parameters(
 
 def check_in_front(ct: Volume, parameters: Float[Tensor, "9"], view: str) -> None:
     """Raises ``RegtorchError`` unless the whole patient is on the detector's side of the source."""
-    height = (body_corners_ct(ct) @ world_from_ct(parameters, view)[:3, :3].mT)[:, 2] + parameters[5]
+    height = (corners_ct(ct, BODY_HU) @ world_from_ct(parameters, view)[:3, :3].mT)[:, 2] + parameters[5]
     if not float(height.max()) < float(parameters[2]):
         raise RegtorchError(
             f"SDD of {float(parameters[2]):g} mm: in this {view} view {ct.name} reaches {float(height.max()):g} mm "
             "from the detector, expected the source beyond it"
         )
-
-
-def body_corners_ct(ct: Volume) -> Float[Tensor, "8 3"]:
-    """Corners, in the ``ct`` frame (mm), of the box around everything denser than fat; of the CT if nothing is."""
-    body = ct.data > BODY_HU
-    ends = []
-    for axis in (2, 1, 0):
-        others = [a for a in range(3) if a != axis]
-        found = body.any(others[1]).any(others[0]).nonzero().flatten()
-        ends.append((int(found[0]), int(found[-1])) if len(found) else (0, ct.data.shape[axis] - 1))
-    corners = torch.cartesian_prod(*(torch.tensor(pair, dtype=torch.float64) for pair in ends))
-    in_patient = corners @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
-    return in_patient - ct.origin_patient_mm
 
 
 def _check_inside(ct: Volume, detector: Detector, point: Point3, pixel: Point2) -> None:

@@ -23,12 +23,13 @@ M Rz(phi) Ry(theta) Rx(eta) M = Rz(-phi) Ry(-theta) Rx(eta)."""
 class Problem:
     """What is searched for, and where.
 
-    ``attenuating`` is the CT as it is rendered, cropped, ``whole`` all its tissue; ``points`` (LPS mm) lie on the
-    anatomy in the image. Parameters in ``free`` may move within ``half_range`` of ``initial`` (mm, rad); the others
-    stay. ``progress`` is told the share that is done and what goes on.
+    ``attenuating`` is the CT above ``threshold_hu`` as it is rendered, cropped, ``whole`` all its tissue; ``points``
+    (LPS mm) lie on the anatomy in the image. Parameters in ``free`` may move within ``half_range`` of ``initial``
+    (mm, rad); the others stay. ``progress`` is told the share that is done and what goes on.
     """
 
     attenuating: Volume
+    threshold_hu: float | None
     whole: Volume
     radiograph: Radiograph
     view: str

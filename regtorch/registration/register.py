@@ -75,7 +75,9 @@ def register(
             landmark_patient_mm=landmark_patient_mm,
             landmark_image=landmark,
         )
-    attenuating = crop_to_anatomy(attenuation(ct, threshold_hu=threshold_hu))
+    attenuating, whole = (
+        attenuation(crop_to_anatomy(ct, threshold_hu=least), threshold_hu=least) for least in (threshold_hu, None)
+    )
     half_range = torch.tensor(SEARCH) if half_range is None else half_range
     if not bool(((half_range >= 0) & half_range.isfinite()).all()):
         raise RegtorchError(f"half range {half_range.tolist()}: expected numbers from 0 (frozen) on")
@@ -84,7 +86,8 @@ def register(
         raise RegtorchError(f"half range {half_range.tolist()}: everything is frozen, expected something to find")
     problem = Problem(
         attenuating=attenuating,
-        whole=crop_to_anatomy(attenuation(ct, threshold_hu=None)),
+        threshold_hu=threshold_hu,
+        whole=whole,
         radiograph=radiograph,
         view=view,
         similarity=similarity,

@@ -33,9 +33,9 @@ def screen(problem: Problem, level: Level, poses: int, seed: int, peaks: int = 2
 
     Moving the patient in the plane of the detector moves its image and hardly changes it. So one DRR, wide enough for
     every shift in the range, tells the correlation at all shifts by a Fourier transform: of the fixed image's gradients
-    with the DRR's, over the root of the DRR's energy where the fixed image lies (masked normalised cross-correlation),
-    or of a tenth of the highest energy, where it has less. Shifts that are frozen are not searched; the draws are a
-    scrambled Sobol sequence over the other free parameters.
+    with the DRR's, over the root of the DRR's energy where the fixed image lies (masked normalised cross-correlation,
+    of both directions together), or of a tenth of the highest energy, where it has less. Shifts that are frozen are not
+    searched; the draws are a scrambled Sobol sequence over the other free parameters.
     """
     fixed, detector = level.fixed, level.fixed.detector
     draws = _draws(problem, poses, seed)
@@ -45,23 +45,20 @@ def screen(problem: Problem, level: Level, poses: int, seed: int, peaks: int = 2
     )
     size = [_fast_size(n) for n in (wide.rows, wide.columns)]
     weight = gradient_weight(fixed.weight)
-    fixed_terms = []
-    for gradient in image_gradients(fixed.image[None]):
-        f = (gradient[0] - (gradient[0] * weight).sum() / weight.sum().clamp_min(1e-12)) * weight
-        norm = (f.square() / weight.clamp_min(1e-12)).sum().sqrt().clamp_min(1e-12)
-        fixed_terms.append(torch.fft.rfft2(f / norm, s=size).conj())
+    gradients = torch.cat(image_gradients(fixed.image[None]))
+    weighted = (gradients - (gradients * weight).sum((1, 2), keepdim=True) / weight.sum().clamp_min(1e-12)) * weight
+    norm = (weighted.square() / weight.clamp_min(1e-12)).sum().sqrt().clamp_min(1e-12)
+    fixed_terms = torch.fft.rfft2(weighted / norm, s=size).conj()
     weight_term = torch.fft.rfft2(weight, s=size).conj()
     found, values = [], []
     at_once = max(1, min(_POSES_AT_ONCE, _PIXELS_AT_ONCE // (wide.rows * wide.columns)))
     for some in draws.split(at_once):
-        moving = image_gradients(render(level.volume, some, wide, problem.view))
-        score = 0
-        for gradient, term in zip(moving, fixed_terms, strict=True):
-            product = _correlate(gradient, term, size, margins)
-            energy = _correlate(gradient.square(), weight_term, size, margins)
-            least = _LEAST_ENERGY * energy.flatten(1).amax(1)[:, None, None].clamp_min(1e-20)
-            score = score + product / torch.maximum(energy, least).sqrt() / 2
-        score = score.cpu().double().masked_fill(~_in_range(problem, detector, some, margins), -1)
+        moving = torch.stack(image_gradients(render(level.volume, some, wide, problem.view)), dim=1)
+        product = _correlate(moving, fixed_terms, size, margins)
+        energy = _correlate(moving.square().sum(1, keepdim=True), weight_term, size, margins)
+        least = _LEAST_ENERGY * energy.flatten(1).amax(1)[:, None, None].clamp_min(1e-20)
+        score = (product / torch.maximum(energy, least).sqrt()).cpu()
+        score = score.masked_fill(~_in_range(problem, detector, some, margins), -1)
         value, at = _peaks(score, peaks)
         shift_px = torch.stack([at[..., 1] - margins[0], at[..., 0] - margins[1]], dim=-1)
         found.append(_shifted(problem, some, shift_px * detector.pixel_mm))
@@ -113,9 +110,10 @@ def _fast_size(least: int) -> int:
     return least if rest == 1 else _fast_size(least + 1)
 
 
-def _correlate(images: Tensor, term: Tensor, size: list[int], margins: tuple[int, int]) -> Tensor:
-    """Sum over the fixed image's pixels of an image shifted by 0 ... twice the margin, times what ``term`` is of."""
-    product = torch.fft.irfft2(torch.fft.rfft2(images, s=size) * term, s=size)
+def _correlate(images: Tensor, terms: Tensor, size: list[int], margins: tuple[int, int]) -> Tensor:
+    """Sum over the fixed image's pixels and over images [n, m, h, w] shifted by 0 ... twice the margin, times what the
+    m ``terms`` are of."""
+    product = torch.fft.irfft2((torch.fft.rfft2(images, s=size) * terms).sum(1), s=size)
     return product[:, : 2 * margins[1] + 1, : 2 * margins[0] + 1]
 
 
@@ -133,11 +131,12 @@ def _in_range(
 
 def _peaks(score: Float[Tensor, "n r c"], peaks: int) -> tuple[Float[Tensor, "n k"], Tensor]:
     """Values and (row, column) of the highest local maxima."""
-    highest = torch.nn.functional.max_pool2d(score[:, None], 5, stride=1, padding=2)[:, 0]
+    down = torch.nn.functional.max_pool2d(score[:, None], (5, 1), stride=1, padding=(2, 0))
+    highest = torch.nn.functional.max_pool2d(down, (1, 5), stride=1, padding=(0, 2))[:, 0]
     at_peak = torch.where(score >= highest, score, -torch.inf).flatten(1)
     value, index = at_peak.topk(min(peaks, at_peak.shape[1]), dim=1)
     columns = score.shape[2]
-    return value.nan_to_num(nan=-1, neginf=-1), torch.stack([index // columns, index % columns], dim=-1)
+    return value.double().nan_to_num(nan=-1, neginf=-1), torch.stack([index // columns, index % columns], dim=-1)
 
 
 def _shifted(

@@ -5,7 +5,7 @@ from regtorch.simulation.devices import add_devices
 from regtorch.simulation.noise import add_quantum_noise
 from regtorch.simulation.readout import add_gain_and_offset, digitise
 from regtorch.simulation.realistic import realistic
-from regtorch.simulation.simulate import Simulation, draw_parameters, simulate
+from regtorch.simulation.simulate import Simulation, draw_geometry, draw_parameters, simulate
 from regtorch.simulation.soft_tissue import move_soft_tissue
 from regtorch.simulation.text import add_text
 
@@ -19,6 +19,7 @@ __all__ = [
     "blur_detector",
     "blur_focal_spot",
     "digitise",
+    "draw_geometry",
     "draw_parameters",
     "move_soft_tissue",
     "realistic",

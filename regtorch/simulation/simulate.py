@@ -12,8 +12,9 @@ from torch import Tensor
 from regtorch import __version__
 from regtorch.drr import render
 from regtorch.errors import RegtorchError
-from regtorch.geometry import Detector, parameters_to_dict, pixel_from_patient, project
-from regtorch.imaging import Volume, attenuation
+from regtorch.geometry import Detector, parameters_to_dict, pixel_from_patient, project, world_from_ct
+from regtorch.imaging import BONE_HU, Volume, attenuation
+from regtorch.imaging.attenuation import BODY_HU, corners_ct
 from regtorch.imaging.points import spread_points
 from regtorch.simulation.noise import add_quantum_noise
 
@@ -23,6 +24,7 @@ RANGES = (25.0, 25.0, 50.0, 25.0, 25.0, 50.0, *(math.radians(5),) * 3)
 DETECTOR = Detector(500, 500, 0.7)
 
 _TARGETS = 16
+_DRAWS = 100
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,26 @@ def draw_parameters(
     """Nine parameters (mm, rad), each uniform within its half range of the middle."""
     uniform = 2 * torch.rand(9, generator=generator, dtype=torch.float64) - 1
     return middle.double() + uniform * half_range.double()
+
+
+def draw_geometry(
+    ct: Volume, middle: Float[Tensor, "9"], half_range: Float[Tensor, "9"], view: str, generator: torch.Generator
+) -> Float[Tensor, "9"]:
+    """``draw_parameters``, until the bones lie before the detector and the patient before the source, each as a box.
+
+    The first draw is kept if it will do. Raises ``RegtorchError`` after 100 that will not.
+    """
+    bone, body = corners_ct(ct, BONE_HU), corners_ct(ct, BODY_HU)
+    for _ in range(_DRAWS):
+        parameters = draw_parameters(middle, half_range, generator)
+        row = world_from_ct(parameters, view)[2]
+        bone_z, body_z = (corners @ row[:3] + row[3] for corners in (bone, body))
+        if float(bone_z.min()) >= 0 and float(body_z.max()) < float(parameters[2]):
+            return parameters
+    raise RegtorchError(
+        f"{ct.name}: in all of {_DRAWS} geometries drawn for this {view} view bone is behind the detector or the "
+        "patient reaches the source, expected smaller ranges or a longer SDD"
+    )
 
 
 def simulate(

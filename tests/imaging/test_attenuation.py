@@ -46,16 +46,17 @@ def test_linear_and_clamped() -> None:
 def test_nothing_over_the_threshold() -> None:
     with pytest.raises(RegtorchError, match=r"made.nii: no voxel over 100 HU \(the highest has 40 HU\)"):
         attenuation(volume_of(torch.full((2, 3, 4), 40.0)))
-    with pytest.raises(RegtorchError, match="no voxel over -1000 HU"):
-        attenuation(volume_of(torch.full((2, 3, 4), -3024.0)), threshold_hu=None)
+    for what in (attenuation, crop_to_anatomy):
+        with pytest.raises(RegtorchError, match="no voxel over -1000 HU"):
+            what(volume_of(torch.full((2, 3, 4), -3024.0)), threshold_hu=None)
 
 
 def test_units_are_not_confused() -> None:
     volume = volume_of(torch.full((2, 3, 4), 500.0))
     with pytest.raises(RegtorchError, match="values in per_mm, expected HU"):
         attenuation(attenuation(volume))
-    with pytest.raises(RegtorchError, match="values in HU, expected an attenuation"):
-        crop_to_anatomy(volume)
+    with pytest.raises(RegtorchError, match="values in per_mm, expected HU"):
+        crop_to_anatomy(attenuation(volume))
     with pytest.raises(RegtorchError, match=r"mu_water of 0.0 per mm"):
         attenuation(volume, mu_water_per_mm=0.0)
 
@@ -64,12 +65,21 @@ def test_crop_keeps_place_and_origin() -> None:
     data = torch.full((9, 8, 7), -1000.0)
     data[3:5, 0, 6] = 700
     data[4, 2, 5] = 300
-    whole = attenuation(volume_of(data, (0.5, 0.75, 2)))
-    part = crop_to_anatomy(whole)
+    ct = volume_of(data, (0.5, 0.75, 2))
+    whole, part = attenuation(ct), attenuation(crop_to_anatomy(ct))
     assert part.data.shape == (4, 4, 3), "one voxel around, but not beyond the volume"
     assert mass(part) == pytest.approx(mass(whole))
     torch.testing.assert_close(centre_of_mass(part), centre_of_mass(whole))
     torch.testing.assert_close(part.origin_patient_mm, whole.origin_patient_mm)
+
+
+def test_crop_leaves_out_nothing_that_attenuates() -> None:
+    data = torch.full((5, 6, 7), -1000.0)
+    data[2, 3, 3], data[2, 3, 5] = 100, 99
+    ct = volume_of(data)
+    assert crop_to_anatomy(ct).data.shape == (3, 3, 3)
+    for least in (None, -1000.0, -2000.0):
+        assert crop_to_anatomy(ct, threshold_hu=least).data.shape == (3, 3, 5), "air at -1000 HU is none"
 
 
 @pytest.mark.parametrize("spacing_mm", [2.0, 3.2, 5.0, 100.0])
@@ -110,7 +120,7 @@ def test_padding_of_a_real_ct_does_not_attenuate(data_folder: Path) -> None:
     ct = read_volume(data_folder / "ct_slices_dicom")
     everything = attenuation(ct, threshold_hu=None)
     assert float(everything.data[ct.data == -3024].max()) == 0
-    bone = crop_to_anatomy(attenuation(ct))
+    bone = attenuation(crop_to_anatomy(ct))
     assert bone.data.shape == (12, 263, 431)
     assert float(bone.data[bone.data > 0].min()) == pytest.approx(0.02 * 1.1)
     assert float(bone.data.max()) == pytest.approx(0.02 * (1 + 1.254))

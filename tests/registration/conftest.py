@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from regtorch.geometry import Detector
-from regtorch.imaging import Radiograph, Volume, attenuation, crop_to_anatomy
+from regtorch.imaging import BONE_HU, Radiograph, Volume, attenuation, crop_to_anatomy
 from regtorch.imaging.points import spread_points
 from regtorch.phantom import make_phantom
 from regtorch.registration import initial_parameters
@@ -28,10 +28,11 @@ class Pair:
     radiograph: Radiograph
 
     def problem(self, free: list[int], **changes: object) -> Problem:
-        attenuating = crop_to_anatomy(attenuation(self.ct))
+        attenuating = attenuation(crop_to_anatomy(self.ct))
         settings = {
             "attenuating": attenuating,
-            "whole": crop_to_anatomy(attenuation(self.ct, threshold_hu=None)),
+            "threshold_hu": BONE_HU,
+            "whole": attenuation(crop_to_anatomy(self.ct, threshold_hu=None), threshold_hu=None),
             "radiograph": self.radiograph,
             "view": "PA",
             "similarity": gradient_correlation,

@@ -6,8 +6,9 @@ import torch
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, pixel_from_patient, project, world_from_ct
 from regtorch.imaging import Volume
+from regtorch.imaging.attenuation import BODY_HU, corners_ct
 from regtorch.registration import initial_parameters
-from regtorch.registration.initial import SDD_MM, SEARCH, body_corners_ct, check_in_front
+from regtorch.registration.initial import SDD_MM, SEARCH, check_in_front
 
 DETECTOR = Detector(60, 90, 4.0)
 VIEWS = ("PA", "AP", "LLAT", "RLAT")
@@ -47,7 +48,7 @@ def test_the_body_touches_the_detector_from_the_side_of_the_source(ct):
 def test_a_ct_of_air_alone_lies_against_the_detector_as_a_whole(ct):
     air = ct.with_data(torch.full_like(ct.data, -1000.0))
     assert float(initial_parameters(air, DETECTOR, "PA")[5]) == pytest.approx(14.5 * 6)
-    assert body_corners_ct(air).abs().unique(dim=0).shape == (1, 3)
+    assert corners_ct(air, BODY_HU).abs().unique(dim=0).shape == (1, 3)
 
 
 @pytest.mark.parametrize("view", VIEWS)

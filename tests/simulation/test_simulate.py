@@ -9,9 +9,9 @@ import torch
 from regtorch import __version__
 from regtorch.drr import render
 from regtorch.errors import RegtorchError
-from regtorch.geometry import KEYS, Detector, parameters_from_dict, project
+from regtorch.geometry import KEYS, Detector, parameters_from_dict, project, world_from_ct
 from regtorch.imaging import Volume, attenuation
-from regtorch.simulation import add_quantum_noise, draw_parameters, simulate
+from regtorch.simulation import add_quantum_noise, draw_geometry, draw_parameters, simulate
 from regtorch.simulation.simulate import RANGES
 
 POSE = torch.tensor([10, -5, 1000, 3, 4, 300, 0.05, -0.03, 0.02], dtype=torch.float64)
@@ -123,6 +123,37 @@ def test_parameters_are_drawn_by_seed_and_a_range_of_zero_is_kept():
     assert torch.equal(one, same)
     assert torch.equal(one[:3], POSE[:3])
     assert not bool((one[3:] == other[3:]).any())
+
+
+def _z_mm(ct: Volume, above_hu: float, parameters: torch.Tensor, view: str) -> torch.Tensor:
+    """How far from the detector all voxels over a threshold are."""
+    voxels = (ct.data > above_hu).nonzero().flip(1).double()
+    in_patient = voxels @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
+    row = world_from_ct(parameters, view)[2]
+    return (in_patient - ct.origin_patient_mm) @ row[:3] + row[3]
+
+
+@pytest.mark.parametrize("view", ["PA", "AP", "LLAT", "RLAT"])
+def test_a_geometry_is_the_first_drawn_with_bone_before_the_detector_and_the_patient_before_the_source(ct, view):
+    middle = torch.tensor([0, 0, 200, 0, 0, 40, 0, 0, 0], dtype=torch.float64)
+    half_range, redrawn = torch.tensor(RANGES, dtype=torch.float64), 0
+    for seed in range(40):
+        geometry = draw_geometry(ct, middle, half_range, view, torch.Generator().manual_seed(seed))
+        assert float(_z_mm(ct, 100, geometry, view).min()) >= 0
+        assert float(_z_mm(ct, -300, geometry, view).max()) < float(geometry[2])
+        generator = torch.Generator().manual_seed(seed)
+        while not torch.equal(drawn := draw_parameters(middle, half_range, generator), geometry):
+            bone, body = (_z_mm(ct, above_hu, drawn, view) for above_hu in (100, -300))
+            assert float(bone.min()) < 10 or float(body.max()) > float(drawn[2]) - 10, "but for the box's corners"
+            redrawn += 1
+    assert redrawn > 4
+
+
+@pytest.mark.parametrize(("sdd_mm", "odd_mm"), [(1000, -200), (1000, 990), (70, 40)])
+def test_where_no_geometry_will_do_drawing_ends(ct, sdd_mm, odd_mm):
+    middle = torch.tensor([0, 0, sdd_mm, 0, 0, odd_mm, 0, 0, 0], dtype=torch.float64)
+    with pytest.raises(RegtorchError, match=r"made.nii: in all of 100 geometries .* PA view .*, expected smaller"):
+        draw_geometry(ct, middle, torch.zeros(9, dtype=torch.float64), "PA", torch.Generator().manual_seed(0))
 
 
 def test_targets_outside_the_image_are_dropped(ct):

@@ -43,7 +43,7 @@ def slices_across(data: Tensor, axis: int) -> Slices:
 
 def _stacked(across: np.ndarray) -> Slices:
     c, n, h, w = across.shape
-    pairs = np.empty((c, n, h + 2 * BORDER, w + 2 * BORDER, 2), np.float32)
+    pairs = np.zeros((c, n, h + 2 * BORDER, w + 2 * BORDER, 2), np.float32)  # pages of air are never touched
     blocks = np.zeros((c, n, -(-(h + 2 * BORDER - 1) // BLOCK) + 1, -(-(w + 2 * BORDER - 1) // BLOCK) + 1), np.int32)
     _interleave(across, pairs, blocks)
     strides = (*pairs.strides[:2], pairs.itemsize * 2)  # each group shares half of its bytes with the next
@@ -54,7 +54,7 @@ def _stacked(across: np.ndarray) -> Slices:
 @njit(parallel=True, nogil=True, cache=True)
 @no_type_check
 def _interleave(across, pairs, blocks):
-    """Each slice with its border of air, interleaved with its next row; and where blocks of cells hold anything.
+    """Each slice with its border of air, interleaved with its next row; and where blocks of cells hold any.
 
     A cell lies between four voxels, and belongs to a block one row and one column further on in ``blocks``, so that
     these become summed-area tables with a first row and column of zeros.
@@ -63,7 +63,6 @@ def _interleave(across, pairs, blocks):
     for chunk in prange((n + _SLICES_AT_ONCE - 1) // _SLICES_AT_ONCE):
         some = range(chunk * _SLICES_AT_ONCE, min((chunk + 1) * _SLICES_AT_ONCE, n))
         for channel in range(c):
-            pairs[channel, some.start : some.stop] = 0
             for row in range(h):
                 for k in some:
                     for column in range(w):

@@ -1,11 +1,10 @@
-"""Points spread over the anatomy, and points read from a file."""
+"""Points spread over the anatomy."""
 
 import pytest
 import torch
 
-from regtorch.errors import RegtorchError
 from regtorch.imaging import Volume, attenuation
-from regtorch.imaging.points import read_points, spread_points
+from regtorch.imaging.points import spread_points
 
 
 @pytest.fixture(scope="module")
@@ -47,41 +46,3 @@ def test_no_more_points_than_there_are_places():
     data[1, 1, 1] = 0.05
     volume = Volume(data, torch.eye(4, dtype=torch.float64) * 6, torch.zeros(3, dtype=torch.float64), "per_mm")
     assert spread_points(volume, 10).tolist() == [[6, 6, 6]]
-
-
-def test_points_are_read_by_name(tmp_path):
-    path = tmp_path / "targets.csv"
-    path.write_text("\ufeffname,x,y,z\nT1,1,2.5,-3\n\nleft hip,-10,2e1,4\n", encoding="utf-8")
-    assert read_points(path) == {"T1": (1, 2.5, -3), "left hip": (-10, 20, 4)}
-    path.write_text("T1,1,2,3\n")
-    assert read_points(path) == {"T1": (1, 2, 3)}
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "no points"),
-        ("name,x,y,z\n", "no points"),
-        ("T1,1,2\n", r"line 1 is \['T1', '1', '2'\]"),
-        ("T1,1,2,3\nT2,1,2,3,4\n", "line 2 is"),
-        ("T1,1,2,3\nT2,1,two,3\n", "line 2 is"),
-    ],
-)
-def test_a_file_of_something_else_is_refused(tmp_path, text, message):
-    path = tmp_path / "targets.csv"
-    path.write_text(text)
-    with pytest.raises(RegtorchError, match=message) as caught:
-        read_points(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert "expected" in str(caught.value)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(RegtorchError, match=r"nothing.csv: No such file or directory, expected a CSV file"):
-        read_points(tmp_path / "nothing.csv")
-
-
-def test_bytes_that_are_no_text_are_refused(tmp_path):
-    (tmp_path / "image.png").write_bytes(b"\x89PNG\xff\xfe\x00")
-    with pytest.raises(RegtorchError, match=r"image.png: .*expected .*name,x,y,z"):
-        read_points(tmp_path / "image.png")

@@ -1,0 +1,56 @@
+"""The paper's figure 2: where the searches begin, as squares about the vertebra L3 on the detector."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.collections import PolyCollection
+from matplotlib.patches import Circle, Rectangle
+
+from regtorch.errors import RegtorchError
+from regtorch.report.style import PALETTE, YELLOW
+
+_VIEWS = ("PA", "LAT")  # in the paper's order
+_HALF_MM = 175.0  # of the detector's side
+_CORNERS = [f"corner{number}_{axis}_mm" for number in (1, 2, 3, 4) for axis in "xy"]
+_MARKER = ["marker_x_mm", "marker_y_mm"]
+_PANEL_INCHES = 3.2
+
+
+def start_figure(rows: pd.DataFrame, folder: Path) -> mpl.figure.Figure:
+    """A panel for each view, in mm on the detector; L3 is drawn where it truly is in the median.
+
+    ``folder`` may have a ``background_VIEW.png`` of the whole detector, whose frame is drawn.
+    """
+    if missing := [column for column in (*_MARKER, *_CORNERS) if column not in rows]:
+        raise RegtorchError(f"{folder}: no column {missing[0]!r} in its table, expected it for figure 2")
+    starts = rows.drop_duplicates(["view", "seed"])
+    reach = np.full(2, _HALF_MM)
+    drawn = []
+    for view in _VIEWS:
+        some = starts[starts["view"] == view]
+        middle = some[_MARKER].median().to_numpy()
+        squares = some[_CORNERS].to_numpy().reshape(-1, 4, 2) + middle
+        reach = np.maximum(reach, np.abs(squares).max((0, 1), initial=0))
+        drawn.append((view, middle, squares))
+    across, up = 1.03 * reach
+    size = 2 * _PANEL_INCHES + 1, _PANEL_INCHES * up / across + 1
+    figure, panels = plt.subplots(1, 2, figsize=size, sharex=True, sharey=True, layout="constrained")
+    for axes, (view, middle, squares) in zip(panels, drawn, strict=True):
+        background = folder / f"background_{view}.png"
+        alpha = min(1, 12 / np.sqrt(len(squares) + 1))
+        colour = PALETTE[0]
+        if background.is_file():
+            extent = [-_HALF_MM, _HALF_MM, -_HALF_MM, _HALF_MM]
+            axes.imshow(plt.imread(background), cmap="gray", extent=extent, zorder=0.6)  # over the grid
+            colour = PALETTE[1]
+        lines = {"facecolors": "none", "edgecolors": colour, "linewidths": 0.6, "alpha": alpha}
+        axes.add_collection(PolyCollection(squares, **lines))
+        frame = {"fill": False, "edgecolor": "black", "linewidth": 2}
+        axes.add_patch(Rectangle((-_HALF_MM, -_HALF_MM), 2 * _HALF_MM, 2 * _HALF_MM, **frame))
+        axes.add_patch(Circle(middle, 9, facecolor=YELLOW, edgecolor="black", linewidth=1.2, zorder=3))
+        axes.set(title=f"{view}, n = {len(squares)}", aspect="equal", xlabel="x on the detector (mm)")
+    panels[0].set(ylabel="y on the detector (mm)", xlim=(-across, across), ylim=(-up, up))
+    return figure

@@ -1,0 +1,105 @@
+"""The report of a study's folder: what it is, how its registrations did, its figures, and its worst cases."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import pandas as pd
+
+from regtorch.errors import RegtorchError
+from regtorch.report import html
+from regtorch.report.figures import before_and_after_figure, share_figure
+from regtorch.report.rows import keys_of, read_rows, shown, tables_of
+from regtorch.report.settings import read_settings
+from regtorch.report.style import use_style
+from regtorch.report.summary import distance, headline, worst
+
+_WORST = 10
+_BACKGROUND = "background_"
+_PICTURES = "Pictures: edges of the bones, in blue where they are, in orange where they were found."
+_NOTE = "PDE in the detector plane, mm. Medians, where nothing else is said; '95 %' is the 95th percentile."
+
+
+def report(folder: Path) -> str:
+    """One HTML page, with all pictures in it, of any study's folder.
+
+    Raises ``RegtorchError`` where there is nothing to report, or what is there cannot be read.
+    """
+    if not folder.is_dir():
+        raise RegtorchError(f"{folder}: no such folder, expected one of a study")
+    title = folder.resolve().name
+    pictures = [path for path in sorted(folder.glob("*.png")) if not path.name.startswith(_BACKGROUND)]
+    text = folder / "table.md"
+    rows = read_rows(folder) if tables_of(folder) else None
+    if rows is None and not pictures and not text.is_file():
+        raise RegtorchError(f"{folder}: no tables of registrations, *.png or table.md, expected a study's folder")
+    parts = [] if rows is None else _of_rows(folder, rows)
+    figures = [html.figure(path.read_bytes(), path.name) for path in pictures]
+    parts.append(html.section("Figures of the folder", figures))
+    if text.is_file():
+        parts.append(html.section("Tables of the folder", html.markdown(text.read_text("utf-8", "replace"))))
+    parts.append(html.section("Settings", _settings(folder)))
+    return html.page(title, parts)
+
+
+def _of_rows(folder: Path, rows: pd.DataFrame) -> list[str]:
+    keys = keys_of(rows)
+    parts = [
+        html.paragraph(_made_by(rows)),
+        html.section("Accuracy", [html.table(*headline(rows, keys)), html.paragraph(_NOTE)]),
+    ]
+    some = rows[rows.pde_mm.notna()]
+    if len(some):
+        with mpl.rc_context():
+            use_style()
+            shares = html.drawn(share_figure(some, keys))
+            before_and_after = html.drawn(before_and_after_figure(some, keys))
+        figures = [
+            html.figure(shares, "Share of the registrations up to each PDE; dashed: 5 mm."),
+            html.figure(before_and_after, "PDE after against before; dashed: no better than before."),
+        ]
+        parts += [html.section("PDE", figures), html.section(f"The worst {_WORST}", [_worst_cases(folder, some, keys)])]
+    return parts
+
+
+def _made_by(rows: pd.DataFrame) -> str:
+    """How many registrations, and what of version, device and threads the table tells."""
+    told = [
+        f"{name} {', '.join(map(shown, rows[name].unique()))}"
+        for name in ("version", "device", "threads")
+        if name in rows
+    ]
+    return f"{len(rows):,} registrations; " + "; ".join(told)
+
+
+def _worst_cases(folder: Path, rows: pd.DataFrame, keys: list[str]) -> str:
+    texts = [*keys, "seed", "status", *(["message"] if "message" in rows else [])]
+    some = worst(rows, _WORST)
+    lines = [
+        [shown(row[key]) for key in texts] + [distance(row.initial_pde_mm), distance(row.pde_mm)]
+        for _, row in some.iterrows()
+    ]
+    pictures = [_picture_of(folder, row, keys) for _, row in some.iterrows()]
+    table = html.table([*texts, "PDE before", "PDE"], lines, pictures)
+    return table + html.paragraph(_PICTURES) if any(pictures) else table
+
+
+def _picture_of(folder: Path, row: pd.Series, keys: list[str]) -> bytes | None:
+    """The one in ``failures/``, of the folder or of an arm's, whose path has the row's keys and at its end the seed."""
+    words = [shown(row[key]) for key in keys if isinstance(row[key], str)]
+    for path in sorted([*folder.glob("failures/*.png"), *folder.glob("*/failures/*.png")]):
+        name = "_".join(path.relative_to(folder).with_suffix("").parts)
+        seed = name.rpartition("_")[2]
+        if seed.isdecimal() and int(seed) == row.seed and all(f"_{word}_" in f"_{name}_" for word in words):
+            return path.read_bytes()
+    return None
+
+
+def _settings(folder: Path) -> list[str]:
+    """What all arms share, and what each has of its own."""
+    arms = read_settings(folder)
+    names = list(dict.fromkeys(name for settings in arms.values() for name in settings))
+    values = {name: [settings.get(name, "") for settings in arms.values()] for name in names}
+    shared = [[name, found[0]] for name, found in values.items() if len(set(found)) == 1]
+    own = [[name, *found] for name, found in values.items() if len(set(found)) > 1]
+    tables = [html.table(["setting", *arms], own)] if own else []
+    return [*tables, html.table(["setting", "value"], shared)] if shared else tables

@@ -1,0 +1,114 @@
+"""The registrations of a study, whatever files of its folder they lie in."""
+
+import re
+from io import StringIO
+from pathlib import Path
+
+import pandas as pd
+
+from regtorch.errors import RegtorchError
+
+PARAMETERS = (
+    "x_s_mm", "y_s_mm", "z_s_mm", "x_obj_mm", "y_obj_mm", "z_obj_mm", "eta_deg", "theta_deg", "phi_deg",
+)  # fmt: skip
+
+_KEYS = ("arm", "ct", "view", "kind", "dof", "radiograph_threshold_hu")
+"""What names a registration in one study or another, besides its seed."""
+
+_MERGED, _TABLES = "registrations.parquet", "registrations*.csv"
+_NUMBERS = ("initial_pde_mm", "pde_mm", "evaluations", "seconds")
+_KNOWN = ("view", "seed", "status", *_NUMBERS)
+
+
+def tables_of(folder: Path) -> dict[str, list[Path]]:
+    """The tables of each arm of a study, by the arm's name; those of ``folder`` itself are of the arm ''.
+
+    A merged table holds all that others hold, and a table of the folder all that its arms' hold.
+    """
+    if own := _tables_in(folder):
+        return {"": own}
+    folders = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: natural(path.name))
+    return {path.name: tables for path in folders if (tables := _tables_in(path))}
+
+
+def read_rows(folder: Path) -> pd.DataFrame:
+    """One row per registration; ``arm`` is the folder's name where each arm has its own.
+
+    Raises ``RegtorchError`` where there is no table, or one that cannot be read or is not of registrations.
+    """
+    if not folder.is_dir():
+        raise RegtorchError(f"{folder}: no such folder, expected one of a study")
+    tables = tables_of(folder)
+    if not tables:
+        raise RegtorchError(f"{folder}: no {_MERGED} or {_TABLES}, expected one there or in its folders")
+    parts = []
+    for arm, paths in tables.items():
+        part = pd.concat([_read(path) for path in paths], ignore_index=True)
+        if arm and "arm" not in part:
+            part["arm"] = arm
+        elif arm:  # its own, or one of several in a merged table
+            part["arm"] = part.arm.where(part.arm == arm, f"{arm}, " + part.arm)
+        parts.append(part.drop_duplicates([*_named(part), "seed"], keep="last"))
+    rows = pd.concat(parts, ignore_index=True)
+    if rows.empty:
+        raise RegtorchError(f"{folder}: tables without rows, expected registrations")
+    return rows
+
+
+def keys_of(rows: pd.DataFrame) -> list[str]:
+    """The columns that tell groups of registrations apart: not the seed, what never varies, or what the arm tells."""
+    keys = [key for key in _named(rows) if rows[key].nunique(dropna=False) > 1]
+    if "arm" not in keys:
+        return keys
+    return [key for key in keys if key == "arm" or rows.groupby("arm")[key].nunique(dropna=False).max() > 1]
+
+
+def groups_of(rows: pd.DataFrame, keys: list[str]) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
+    """Names, as a reader is shown them, and rows of each group, in natural order; one group of all without keys."""
+    if not keys:
+        return [((), rows)]
+    named = [(tuple(map(shown, names)), some) for names, some in rows.groupby(keys, sort=False, dropna=False)]
+    return sorted(named, key=lambda group: [natural(name) for name in group[0]])
+
+
+def natural(name: str) -> list[str | float]:
+    """A key that sorts numbers within names by what they are worth."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
+    parts[1::2] = map(float, parts[1::2])
+    return parts
+
+
+def shown(value: object) -> str:
+    """A key's value for a reader: files without suffix, whole numbers without a point."""
+    if pd.isna(value):
+        return "none"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return re.sub(r"\.(nii(\.gz)?|nrrd|mha)$", "", str(value))
+
+
+def _tables_in(folder: Path) -> list[Path]:
+    merged = folder / _MERGED
+    return [merged] if merged.is_file() else sorted(folder.glob(_TABLES))
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        if path.suffix == ".parquet":
+            rows = pd.read_parquet(path)
+        else:
+            text = path.read_text(encoding="utf-8")
+            rows = pd.read_csv(StringIO(text[: text.rfind("\n") + 1]))  # the last row may be being written
+    except (OSError, ValueError) as error:
+        raise RegtorchError(f"{path}: cannot be read ({error}), expected a table of registrations") from None
+    if missing := [column for column in _KNOWN if column not in rows]:
+        raise RegtorchError(f"{path}: no column {missing[0]!r}, expected a table of registrations")
+    if wrong := [column for column in _NUMBERS if not pd.api.types.is_numeric_dtype(rows[column])]:
+        raise RegtorchError(f"{path}: {wrong[0]} is not of numbers, expected a table of registrations")
+    rows = rows[rows.status.notna()]  # missing where a kill cut a row short
+    kinds = dict.fromkeys(rows.select_dtypes("category"), str)
+    return rows.astype(kinds | dict.fromkeys(rows.select_dtypes("float32"), "float64"))
+
+
+def _named(rows: pd.DataFrame) -> list[str]:
+    return [key for key in _KEYS if key in rows]

@@ -1,0 +1,41 @@
+"""What the commands understand, and what they say about themselves."""
+
+import subprocess
+import sys
+
+import pytest
+
+from regtorch.arguments import parser
+
+from .commands import REGISTER
+
+
+def test_help_describes_every_command_and_loads_nothing_heavy():
+    program = """
+import contextlib, sys
+from regtorch.cli import main
+for words in ([], ["demo"], ["simulate"], ["register"], ["evaluate"], None):
+    with contextlib.suppress(SystemExit):
+        main(["--version"] if words is None else [*words, "--help"])
+heavy = {"torch", "numpy", "numba", "SimpleITK", "matplotlib", "pandas", "cma"} & set(sys.modules)
+sys.exit(f"loads {heavy}" if heavy else 0)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    for word in (
+        "Exit codes: 0",
+        "demo",
+        "--landmark-radiograph COLUMN ROW",
+        "--targets FILE",
+        ".mrk.json",
+        "truth.json",
+        "0.1.0",
+    ):
+        assert word in done.stdout
+
+
+@pytest.mark.parametrize("x", ["-10", "-1e1", "-1E+1", "-.1e2", "-10."])
+def test_negative_numbers_are_no_options_however_written(x):
+    options = parser().parse_args(f"{REGISTER} --landmark-ct {x} 2 {x} --threshold-hu {x}".split())
+    assert options.landmark_ct == [-10, 2, -10]
+    assert options.threshold_hu == -10
