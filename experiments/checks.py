@@ -99,7 +99,7 @@ def _all_or_exit(jobs: Iterator[DictConfig]) -> None:
                 raise RegtorchError(f"arm={job.arm}, shard={job.shard}: two jobs of the sweep, expected one for each")
             tables.add(table)
     except RegtorchError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"simulation_study: error: {error}", file=sys.stderr)
         raise SystemExit(BAD_INPUT) from None
 
 

@@ -68,7 +68,7 @@ def run(config: DictConfig) -> None:
     settings = refuse_to_mix(config, folder, CASES)
     made = done(folder, KEY)
     missing = [case for case in own if tuple(map(str, case)) not in made]
-    study = Study(config)
+    study = Study(config) if missing else None
     keep(settings, folder)
     name = config.arm if config.shard is None else f"{config.arm} {config.shard}"
     bar = tqdm(missing, name, len(own), initial=len(own) - len(missing), unit="registration", mininterval=1)
