@@ -15,7 +15,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from experiments.table import accuracy_of, append, cost_of, done, half_range, refuse_to_mix
+from experiments.rows import accuracy_of, cost_of, nine_parameters
+from experiments.table import append, done, keep, refuse_to_mix
 from regtorch.geometry import Detector
 from regtorch.imaging import Radiograph, Volume, read_volume
 from regtorch.registration import initial_parameters, register
@@ -31,7 +32,7 @@ def main(config: DictConfig) -> None:
     numba.set_num_threads(config.threads)
     ct = read_volume(config.ct)
     folder = Path(config.out)
-    refuse_to_mix(config, folder, _CASES)
+    keep(refuse_to_mix(config, folder, _CASES), folder)
     cases = [
         (Path(config.ct).name, view, arm.dof, arm.radiograph_threshold_hu, seed)
         for arm in config.arms
@@ -53,7 +54,7 @@ def _registered(
     initial = initial_parameters(ct, detector, view)
     if config.z_obj_mm is not None:
         initial[5] = config.z_obj_mm
-    true = draw_parameters(initial, half_range(config.range), torch.Generator().manual_seed(seed))
+    true = draw_parameters(initial, nine_parameters(config.range), torch.Generator().manual_seed(seed))
     truth = simulate(ct, true, view, detector=detector, threshold_hu=threshold_hu, seed=seed)
     result = register(
         ct,
@@ -62,7 +63,7 @@ def _registered(
         method=instantiate(config.registration),
         free=dof,
         initial=initial,
-        half_range=half_range(config.search),
+        half_range=nine_parameters(config.search),
         seed=seed,
         progress=lambda share, what: tell(f"{100 * share:.0f} % {what}", refresh=False),
     )

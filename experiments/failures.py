@@ -23,8 +23,8 @@ _PIXELS, _COLOURS = 250, 128
 _FOUND, _TRUE = np.array([1.0, 0.6, 0.1]), np.array([0.0, 0.45, 0.7])
 
 
-def went_wrong(row: Mapping[str, Any]) -> bool:
-    return row["pde_mm"] > FAILED_MM or (row["pde_mm"] < GOOD_MM and row["status"] != "ok")
+def went_wrong(row: Mapping[str, Any], failed_mm: float = FAILED_MM) -> bool:
+    return row["pde_mm"] > failed_mm or (row["pde_mm"] < GOOD_MM and row["status"] != "ok")
 
 
 def write_picture(

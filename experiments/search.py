@@ -25,7 +25,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from experiments.failures import went_wrong, write_picture
-from experiments.table import accuracy_of, append, cost_of, done, half_range, refuse_to_mix
+from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
+from experiments.table import append, done, keep, parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph, read_volume
@@ -50,7 +51,7 @@ def main(config: DictConfig) -> None:
     numba.set_num_threads(config.threads)
     table, own = table_and_cases(config)
     folder = Path(config.out)
-    refuse_to_mix(config, folder, _CASES, parts=("radiographs", "images"))
+    keep(refuse_to_mix(config, folder, _CASES, parts=("radiographs", "images")), folder)
     made = done(folder, KEY)
     study = Study(config)
     with tqdm(own, unit="registration", mininterval=1) as bar:
@@ -69,14 +70,9 @@ def table_and_cases(config: DictConfig) -> tuple[str, list[Case]]:
     if len(set(of_seed)) < len(of_seed):
         raise RegtorchError("CTs, views or kinds of the same name: expected each once")
     seeds = range(config.first_seed, config.first_seed + config.seeds)
-    if config.shard is None:
-        return "registrations.csv", [(*case, seed) for seed in seeds for case in of_seed]
-    number, _, count = str(config.shard).partition("/")
-    if not (number.isdecimal() and count.isdecimal() and int(number) < int(count)):
-        raise RegtorchError(f"shard={config.shard}: expected i/n, i from 0 to n - 1")
+    number, count = parse_shard(config.shard)
     turns = [(place, case, seed) for seed in seeds for place, case in enumerate(of_seed, seed)]
-    own = [(*case, seed) for place, case, seed in turns if place % int(count) == int(number)]
-    return f"registrations-{number}.csv", own
+    return table_name(config.shard), [(*case, seed) for place, case, seed in turns if place % count == number]
 
 
 class Study:
@@ -101,18 +97,15 @@ class Study:
             method=instantiate(self.config.registration, _convert_="all"),
             free=self.config.dof,
             initial=self.drawn(ct, view, seed)[1],
-            half_range=self.config.searched_deviations * half_range(self.config.start),
+            half_range=self.config.searched_deviations * nine_parameters(self.config.start),
             seed=seed,
             progress=lambda share, what: tell(f"{100 * share:.0f} % {what}", refresh=False),
         )
-        told = result.to_dict()
         row = dict.fromkeys(COLUMNS) | dict(zip(KEY, case, strict=True))
-        row |= {key: told.get(key) for key in ("expected_pde_mm", "similarity", "status", "message")}
-        row |= cost_of(result, self.config.threads)
         if not decoy:
             row |= accuracy_of(result, truth, self.cts[ct])
-            bound = told.get("pde_95_mm")
-            row["within_region"] = None if bound is None else row["pde_mm"] <= bound
+        row |= verdict_of(result, row["pde_mm"]) | cost_of(result, self.config.threads)
+        if not decoy:
             pictures = Path(self.config.out) / "failures"
             if went_wrong(row) and len(list(pictures.glob("*.png"))) < self.config.pictures:
                 name = "_".join([ct.partition(".")[0], view, kind, str(seed)])
@@ -122,10 +115,12 @@ class Study:
     def drawn(self, ct: str, view: str, seed: int) -> tuple[Float[Tensor, "9"], Float[Tensor, "9"]]:
         """The true parameters and where the search starts (mm, rad), the same offsets for any CT."""
         generator = torch.Generator().manual_seed(seed)
-        errors = torch.randn(9, generator=generator, dtype=torch.float64).clamp(-3, 3) * half_range(self.config.start)
+        errors = torch.randn(9, generator=generator, dtype=torch.float64).clamp(-3, 3) * nine_parameters(
+            self.config.start
+        )
         middle = initial_parameters(self.cts[ct], self.detector, view)
         middle[5] += self.config.towards_source_mm
-        true = draw_parameters(middle, half_range(self.config.range), generator)
+        true = draw_parameters(middle, nine_parameters(self.config.range), generator)
         return true, true - errors
 
     def radiograph(self, ct: str, view: str, kind: str, seed: int) -> Simulation:

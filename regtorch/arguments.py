@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from regtorch import __version__
 
 BAD_INPUT = 2
-LEAST_PIXELS, _MOST_PIXELS = 8, 10_000
+LEAST_PIXELS, MOST_PIXELS = 8, 10_000
 """A side of a radiograph: less shows nothing to register, more does not fit into memory."""
 
 _VIEWS = ("PA", "AP", "LAT", "LLAT", "RLAT")
@@ -52,7 +52,7 @@ _COORDINATE = _number(-1e5, 1e5)
 _HALF_RANGE_MM = _number(0, 1e4)
 _PIXEL_MM = _number(1e-3, 100)
 _SDD_MM = _number(1, 1e5)
-_SIDE = _number(LEAST_PIXELS, _MOST_PIXELS, int)
+_SIDE = _number(LEAST_PIXELS, MOST_PIXELS, int)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -1,0 +1,149 @@
+"""Settings of the simulation study are checked, for every job of a sweep, before the first job begins."""
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import InstantiationException
+from hydra.experimental.callback import Callback
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from experiments.table import parse_shard, refuse_to_mix, table_name
+from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, MOST_PIXELS
+from regtorch.errors import RegtorchError
+from regtorch.geometry import VIEWS
+from regtorch.registration.hybrid import hybrid
+from regtorch.similarity import gradient_correlation
+
+CASES = ("views", "seeds", "first_seed", "shard", "failed_mm", "pictures", "threads", "out")
+"""Settings that rows of one folder need not share."""
+
+COMPONENTS = ("data", "radiograph", "registration", "similarity")
+
+Rule = tuple[Callable[[Any], bool], str]
+
+
+def _number(low: float, high: float) -> Rule:
+    return lambda v: type(v) in (int, float) and low <= v <= high, f"a number from {low:g} to {high:g}"
+
+
+def _whole(low: int, high: int = 2**32 - 1) -> Rule:
+    return lambda v: type(v) is int and low <= v <= high, f"a whole number from {low} to {high}"
+
+
+def _three(low: float, high: float) -> Rule:
+    fits, _ = _number(low, high)
+    return lambda v: len(v) == 3 and all(map(fits, v)), f"three numbers from {low:g} to {high:g}"
+
+
+def _or_null(rule: Rule) -> Rule:
+    return lambda v: v is None or rule[0](v), f"{rule[1]}, or null"
+
+
+_MM = 1e4
+_FOLDER = (lambda v: re.fullmatch(r"[\w.+-]*\w[\w.+-]*", v) is not None, "a name for a folder")
+_FILE = (lambda v: v is None or Path(v).exists(), "a file that exists")
+_RULES: dict[str, Rule] = {
+    "dof": (lambda v: v in (9, 7, 6), "9, 7 or 6"),
+    "arm": _FOLDER,
+    "views": (lambda v: 0 < len(v) == len(set(v)) and set(v) <= {*VIEWS}, f"some of {', '.join(VIEWS)}, each once"),
+    "threshold_hu": _or_null(_number(-1000, 3000)),
+    "seeds": _whole(1),
+    "first_seed": _whole(0),
+    "threads": _whole(1, 1024),
+    "pictures": _whole(0),
+    "failed_mm": _number(0, _MM),
+    "least_targets": _whole(1),
+    "searched_deviations": _number(0, 100),
+    "detector.rows": _whole(LEAST_PIXELS, MOST_PIXELS),
+    "detector.columns": _whole(LEAST_PIXELS, MOST_PIXELS),
+    "detector.pixel_mm": _number(1e-3, 100),
+    "default.source_mm": _three(-_MM, _MM),
+    "default.patient_mm": _three(-_MM, _MM),
+    "default.rotation_deg": _number(-360, 360),
+    "deviations.source_mm": _three(0, _MM),
+    "deviations.patient_mm": _three(0, _MM),
+    "deviations.rotation_deg": _number(0, 90),
+    "radiograph.photons": _or_null(_number(1, 1e12)),
+    "data.path": _FILE,
+    "data.targets": _FILE,
+}
+
+
+class CheckFirst(Callback):
+    """Ends in one line and exit code 2 where any job's settings are wrong; nothing is written before."""
+
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        _all_or_exit(iter([config]))
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        _all_or_exit(_jobs(config))
+
+
+def _all_or_exit(jobs: Iterator[DictConfig]) -> None:
+    tables = set()
+    try:
+        for job in jobs:
+            HydraConfig.instance().set_config(job)
+            check(OmegaConf.masked_copy(job, [key for key in job if key != "hydra"]))
+            table = Path(job.out, job.arm, table_name(job.shard))
+            if table in tables:
+                raise RegtorchError(f"arm={job.arm}, shard={job.shard}: two jobs of the sweep, expected one for each")
+            tables.add(table)
+    except RegtorchError as error:
+        print(f"simulation_study: error: {error}", file=sys.stderr)
+        raise SystemExit(BAD_INPUT) from None
+
+
+def _jobs(config: DictConfig) -> Iterator[DictConfig]:
+    """What Hydra's basic sweeper makes of a sweep, its own defaults (``hydra.sweeper.params``) included."""
+    loader = GlobalHydra.instance().config_loader()
+    given = [f"{key}={values}" for key, values in (config.hydra.sweeper.params or {}).items()]
+    overrides = OverridesParser.create(loader).parse_overrides([*given, *config.hydra.overrides.task])
+    for job in BasicSweeper.split_arguments(overrides, max_batch_size=None)[0]:
+        yield loader.load_sweep_config(config, job)
+
+
+def check(config: DictConfig) -> None:
+    """Raises ``RegtorchError`` that names the key for any setting that no job could work with."""
+    if missing := sorted(OmegaConf.missing_keys(config)):
+        raise RegtorchError(f"{missing[0]}: nothing given, expected a value")
+    for key, (fits, expected) in _RULES.items():
+        value = OmegaConf.select(config, key)
+        try:
+            right = fits(value)
+        except TypeError:
+            right = False
+        if not right:
+            raise RegtorchError(f"{key}={value}: expected {expected}")
+    parse_shard(config.shard)
+    made = {key: _checked(config, key) for key in COMPONENTS}
+    if made["registration"].func is hybrid and made["similarity"] is not gradient_correlation:
+        raise RegtorchError("similarity: registration=hybrid expects gradient_correlation, others registration=cmaes")
+    refuse_to_mix(config, Path(config.out, config.arm), CASES)
+
+
+def component(config: DictConfig) -> Callable[..., Any]:
+    """The function that a component's YAML names, its options bound; itself where there are none.
+
+    Methods know some similarities by their identity.
+    """
+    made = instantiate(config, _convert_="all")
+    return made if made.keywords else made.func
+
+
+def _checked(config: DictConfig, key: str) -> Callable[..., Any]:
+    try:
+        made = component(config[key])
+        inspect.signature(getattr(made, "func", made)).bind_partial(**getattr(made, "keywords", {}))
+    except (InstantiationException, TypeError, ValueError) as error:
+        raise RegtorchError(f"{key}: {str(error).splitlines()[0]}") from None
+    return made

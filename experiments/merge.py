@@ -1,0 +1,46 @@
+"""Gathers the tables of a study's arms into one Parquet file: python -m experiments.merge results/simulation
+
+Needs no torch. Rows are sorted by arm, view and seed, so that the same rows make the same table whoever made them.
+"""
+
+import io
+import sys
+from pathlib import Path
+
+import pandas as pd
+
+from experiments.table import TABLES, whole_lines
+from regtorch.errors import RegtorchError
+
+MERGED = "registrations.parquet"
+
+KEY = ["arm", "view", "seed"]
+
+
+def merge(out: Path) -> pd.DataFrame:
+    """All rows of OUT/ARM/registrations*.csv, numbers as float32, also written to OUT/registrations.parquet.
+
+    Raises ``RegtorchError`` where there are none, or where one is there twice.
+    """
+    tables = [_read(path) for path in sorted(out.glob(f"*/{TABLES}"))]
+    if not tables:
+        raise RegtorchError(f"{out}: no {TABLES} in any folder of it, expected those of a study")
+    rows = pd.concat(tables).sort_values(KEY, ignore_index=True)
+    if twice := rows[rows.duplicated(KEY)][KEY].to_numpy().tolist():
+        raise RegtorchError(f"{out}: {', '.join(map(str, twice[0]))} is there twice, expected each registration once")
+    rows = rows.astype(dict.fromkeys(rows.select_dtypes("float64"), "float32"))
+    rows.to_parquet(out / MERGED, index=False, compression="zstd")
+    return rows
+
+
+def _read(path: Path) -> pd.DataFrame:
+    return pd.read_csv(io.StringIO(whole_lines(path)), dtype={"within_region": "boolean", "message": "string"})
+
+
+if __name__ == "__main__":
+    try:
+        merged = merge(Path(sys.argv[1] if len(sys.argv) > 1 else "results/simulation"))
+    except RegtorchError as error:
+        sys.exit(f"merge: error: {error}")
+    for arm, count in merged.arm.value_counts(sort=False).items():
+        print(f"{arm}: {count} registrations")

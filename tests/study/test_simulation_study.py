@@ -1,0 +1,124 @@
+"""Rows of the simulation study: complete, resumed after kills as if nothing had happened, never of mixed settings."""
+
+import csv
+import random
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numba
+import pytest
+import torch
+
+from experiments import simulation_study
+from experiments.merge import KEY
+from experiments.table import append, done, whole_lines
+from regtorch.errors import RegtorchError
+from regtorch.geometry import KEYS, parameters_from_dict
+from regtorch.imaging.volume_files import write_volume
+from regtorch.phantom import make_phantom
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+@pytest.fixture(autouse=True)
+def _threads():
+    before = torch.get_num_threads(), numba.get_num_threads()
+    yield
+    torch.set_num_threads(before[0])
+    numba.set_num_threads(before[1])
+
+
+def _read(table: Path) -> list[dict[str, str]]:
+    with table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_row_tells_all(settings, tmp_path):
+    simulation_study.run(settings(f"out={tmp_path}", "views=[PA]", "seeds=1", "dof=6"))
+    (row,) = _read(tmp_path / "6-DOF" / "registrations.csv")
+    assert tuple(row) == simulation_study.COLUMNS
+    assert [row[key] for key in (*KEY, "dof", "threads", "device")] == ["6-DOF", "PA", "0", "6", "1", "cpu"]
+    assert row["status"] in ("ok", "doubtful", "failed")
+    for key in KEYS:
+        error = float(row[f"found_{key}"]) - float(row[f"true_{key}"])
+        assert float(row[f"error_{key}"]) == pytest.approx(error, abs=1e-9)
+    source = [float(row[f"found_{key}"]) for key in KEYS[:3]]
+    assert source == [float(row[f"initial_{key}"]) for key in KEYS[:3]] == [0, 0, 1000]
+    assert 2 <= int(row["targets"]) <= 19
+    assert float(row["pde_mm"]) < float(row["initial_pde_mm"])
+
+
+def test_nine_degrees_of_freedom_find_the_place(undisturbed):
+    pde = [float(row[simulation_study.COLUMNS.index("pde_mm")]) for row in undisturbed]
+    assert max(pde) < 1
+
+
+def test_kills_at_any_moment_leave_the_table_of_an_undisturbed_run(command, undisturbed, rows, tmp_path):
+    moments = random.Random(5)
+    table = tmp_path / "9-DOF" / "registrations.csv"
+    for _ in range(5):
+        before = table.read_bytes().count(b"\n") if table.exists() else 0
+        wanted = before + moments.randint(0, 2)
+        process = subprocess.Popen(command(f"out={tmp_path}"), cwd=ROOT, stderr=subprocess.DEVNULL)
+        while process.poll() is None and (not table.exists() or table.read_bytes().count(b"\n") < wanted):
+            time.sleep(0.05)
+        time.sleep(moments.random() / 2)
+        process.kill()
+        assert process.wait() in (0, -signal.SIGKILL)
+    assert set(rows(tmp_path)) <= set(undisturbed)
+    last = subprocess.run(command(f"out={tmp_path}"), cwd=ROOT, capture_output=True, check=True)
+    assert b"16/16" in last.stderr
+    assert rows(tmp_path) == undisturbed
+
+
+def test_a_row_cut_short_is_written_anew(tmp_path):
+    table = tmp_path / "registrations.csv"
+    row = {"arm": "a", "view": "PA", "seed": 0, "message": 'one, "two"', "last": 1}
+    for seed in (0, 1):
+        append(table, row | {"seed": seed})
+    whole = table.read_bytes()
+    for size in range(len(whole)):
+        table.write_bytes(whole[:size])
+        made = done(tmp_path, KEY)
+        assert whole_lines(table).encode() == whole[: whole.rfind(b"\n", 0, size) + 1]
+        for seed in (0, 1):
+            if ("a", "PA", str(seed)) not in made:
+                append(table, row | {"seed": seed})
+        assert table.read_bytes() == whole
+
+
+def test_changed_settings_refuse_to_mix(settings, tmp_path):
+    first = f"out={tmp_path}", "views=[PA]", "seeds=1"
+    simulation_study.run(settings(*first))
+    for changed in ("threshold_hu=50", "least_targets=3", "radiograph.photons=1e5", "registration.voxel_per_pixel=2.0"):
+        with pytest.raises(RegtorchError, match=f"another '{changed.partition('=')[0].partition('.')[0]}'"):
+            simulation_study.run(settings(*first, changed))
+    simulation_study.run(settings(*first[:2], "seeds=2", "pictures=1", "failed_mm=2"))
+    assert len(_read(tmp_path / "9-DOF" / "registrations.csv")) == 2
+
+
+def test_a_failure_leaves_a_picture(settings, tmp_path):
+    simulation_study.run(settings(f"out={tmp_path}", "seeds=2", "pictures=1", "failed_mm=0"))
+    assert [path.name for path in (tmp_path / "9-DOF" / "failures").iterdir()] == ["PA_0.png"]
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_any_ct_will_do(settings, tmp_path, named):
+    volume, targets = make_phantom(6.0)
+    write_volume(tmp_path / "ct.nii.gz", volume)
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in targets.items()]
+    (tmp_path / "targets.csv").write_text("\n".join(lines))
+    chosen = ["data=ct", f"data.path={tmp_path / 'ct.nii.gz'}", f"out={tmp_path}", "views=[PA]", "seeds=1"]
+    if named:
+        chosen.append(f"data.targets={tmp_path / 'targets.csv'}")
+    simulation_study.run(settings(*chosen))
+    (row,) = _read(tmp_path / "9-DOF" / "registrations.csv")
+    initial = parameters_from_dict({key: float(row[f"initial_{key}"]) for key in KEYS})
+    if named:
+        assert row["marker_x_mm"] != ""
+        assert float(initial[4]) == pytest.approx(138 - targets["L3"][2])
+    else:
+        assert row["marker_x_mm"] == row["corner4_y_mm"] == ""
+        assert float(initial[4]) == 0
