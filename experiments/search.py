@@ -29,7 +29,7 @@ from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
 from experiments.table import append, done, keep, parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
-from regtorch.imaging import Radiograph, read_volume
+from regtorch.imaging import Radiograph, read_points, read_volume
 from regtorch.registration import initial_parameters, register
 from regtorch.simulation import Simulation, draw_parameters
 
@@ -82,6 +82,8 @@ class Study:
         self.config = config
         self.detector = Detector(**config.detector)
         self.cts = {Path(path).name: read_volume(path) for path in config.cts}
+        files = {name: Path(config.targets, name.partition(".")[0]).with_suffix(".csv") for name in self.cts}
+        self.targets = {name: read_points(file) for name, file in files.items() if file.exists()}
 
     def row(self, case: Case, tell: Any = lambda text, refresh: None) -> dict[str, Any]:
         """Registers one case, and takes a picture of it where that is worth one."""
@@ -125,7 +127,8 @@ class Study:
 
     def radiograph(self, ct: str, view: str, kind: str, seed: int) -> Simulation:
         make = instantiate(self.config.radiographs[kind])
-        return make(self.cts[ct], self.drawn(ct, view, seed)[0], view, detector=self.detector, seed=seed)
+        place = self.cts[ct], self.drawn(ct, view, seed)[0], view
+        return make(*place, detector=self.detector, targets=self.targets.get(ct), seed=seed)
 
     def decoy(self, name: str, right: Simulation, case: Case) -> Float[Tensor, "h w"]:
         ct, view, _, seed = case

@@ -3,6 +3,7 @@
 Soft tissue guides the search where the radiograph shows it; bone refines it, and forgives what bone cannot explain.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -31,6 +32,8 @@ class Stage:
 
 
 _PLACE_MM = 10.0
+_FIRST_LOOK = 0.25
+"""The share of the poses that either tissue is screened with; the one that explains more gets the others as well."""
 _WEAK = 0.3
 """The best start's mean similarity of bone and all tissue: 0.35 and more for right radiographs, up to 0.29 for another
 patient's, mirrored ones and those upside down, but for some that had a rival or lay at a limit of the range."""
@@ -58,17 +61,18 @@ def hybrid(
     screening: Callable[..., Candidates] = screen,
     climb: Climb = levenberg_marquardt,
 ) -> Found:
-    """Screen ``poses`` draws for bone alone and for all tissue, climb from the best, refine what explains most.
+    """Screen ``poses`` draws for bone or for all tissue, climb from the best, refine what explains most.
 
-    Each tissue's best candidates climb on the ``first`` level with that tissue, the better half of them all the way;
-    those that go on are the best ones, but at most three of a place. From there on all climb with bone alone, fewer on
-    each level, and the mean of bone's similarity and, on the second level, that of all tissue ranks them.
-    ``Found.starts`` are the ends of the second level's climbs, by that mean. On each level, and on the ``finest``, the
-    best one then climbs again, where what it did not explain is marked down (``explained_weight``); on the second also
-    from places beside it, along the flattest directions.
+    A quarter of the draws are screened for either tissue, the others for the one that explained more. The best
+    candidates climb on the ``first`` level with their tissue, the better half of them all the way; those that go on are
+    the best ones, but at most three of a place, and a quarter of them the other tissue's. From there on all climb with
+    bone alone, fewer on each level, and the mean of bone's similarity and, on the second level, that of all tissue
+    ranks them. ``Found.starts`` are the ends of the second level's climbs, by that mean. On each level, and on the
+    ``finest``, the best one then climbs again, where what it did not explain is marked down (``explained_weight``); on
+    the second also from places beside it, along the flattest directions.
 
-    Where all tissue explains the radiograph better than bone on the first level, there is soft tissue, and bone shows
-    by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone alone.
+    Where all tissue explained more than bone there is soft tissue in the radiograph, and bone shows by its
+    ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone alone.
 
     Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
@@ -102,15 +106,29 @@ def hybrid(
     pyramids = [pyramid(bone, (first, *stages))]
     if not alike:
         pyramids.append(pyramid(whole, (first, stages[0])))
-    candidates = []
-    for number, (widest, *_) in enumerate(pyramids):
-        problem.progress(0.2 * number, f"screening {poses} poses")
-        goes_on = max(1, stages[0].candidates // len(pyramids))
-        seed = (2 * problem.seed + number) % 2**32
-        candidates.append(_screened(problem, widest, screening, poses, first, goes_on, seed))
-    if bone is not alone and candidates[0].similarity[0] > candidates[1].similarity[0]:
-        bone, pyramids[0] = alone, pyramid(alone, (first, *stages))
-    parameters, starts, edges = torch.cat([found.parameters for found in candidates]), None, torch.inf
+
+    def screened(tissue: int, share: float, turn: int) -> Candidates:
+        """The best few of a share of the poses, sorted."""
+        some, climbing = math.ceil(share * poses), math.ceil(share * first.candidates)
+        problem.progress(0.1 * turn, f"screening {some} poses")
+        seed = (3 * problem.seed + turn) % 2**32
+        stage = replace(first, candidates=climbing)
+        return _screened(problem, pyramids[tissue][0], screening, some, stage, stages[0].candidates, seed)
+
+    if alike:
+        parameters = screened(0, 1.0, 0).parameters
+    else:
+        looks = [screened(tissue, _FIRST_LOOK, tissue) for tissue in (0, 1)]
+        better = int(looks[1].similarity[0] > looks[0].similarity[0])
+        rest = screened(better, 1 - _FIRST_LOOK, 2)
+        order = torch.cat([looks[better].similarity, rest.similarity]).argsort(descending=True)
+        places = torch.cat([looks[better].parameters, rest.parameters])[order]
+        few = stages[0].candidates // 4
+        places = places[_distinct(problem, places, _PLACE_MM, stages[0].candidates - few, each=3)]
+        parameters = torch.cat([places, looks[1 - better].parameters[:few]])
+        if bone is not alone and not better:
+            bone, pyramids[0] = alone, pyramid(alone, (first, *stages))
+    starts, edges = None, torch.inf
     for number, stage in enumerate(stages):
         problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
         by_bone = pyramids[0][number + 1].with_edges(edges)
@@ -159,7 +177,7 @@ def _screened(
     matcher.tally.evaluations += poses
     chosen = _distinct(problem, screened, matcher.level.fixed.detector.pixel_mm, stage.candidates)
     halfway = matcher.climb(screened[chosen], stage.steps // 2)
-    better = halfway.similarity.argsort(descending=True)[: max(goes_on, len(chosen) // 2)]
+    better = halfway.similarity.argsort(descending=True)[: -(-len(chosen) // 2)]
     climbed = matcher.climb(problem.embed(halfway.x[better]), stage.steps - stage.steps // 2)
     order = climbed.similarity.argsort(descending=True)
     places = problem.embed(climbed.x[order])
