@@ -3,7 +3,15 @@
 import pytest
 import torch
 
-from regtorch.geometry import VIEWS, Detector, cone_beam_rays, pixel_from_patient, project, world_from_ct
+from regtorch.geometry import (
+    VIEWS,
+    Detector,
+    cone_beam_rays,
+    pixel_from_patient,
+    project,
+    ray_jacobian,
+    world_from_ct,
+)
 from regtorch.imaging import Volume
 
 from .poses import random_poses
@@ -66,3 +74,15 @@ def test_any_batch_shape_and_type(batch, dtype):
 def test_gradcheck():
     volume, poses = _volume(), random_poses(2).requires_grad_()
     assert torch.autograd.gradcheck(lambda p: cone_beam_rays(p, DETECTORS[2], "LLAT", volume.voxel_from_ct), poses)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_derivatives_are_those_of_autograd(view, detector):
+    volume, poses = _volume(), random_poses(2, 3)
+    poses[..., 6:] *= 20  # far from where rotations commute
+    closed = ray_jacobian(poses, detector, view, volume.voxel_from_ct)
+    by_pose = torch.func.jacfwd(lambda p: cone_beam_rays(p, detector, view, volume.voxel_from_ct))
+    expected = torch.stack([by_pose(p) for p in poses.reshape(-1, 9)]).reshape(2, 3, 12, 9)
+    torch.testing.assert_close(closed, expected, atol=1e-9, rtol=1e-9)
+    assert ray_jacobian(poses[:0], detector, view, volume.voxel_from_ct).shape == (0, 3, 12, 9)
