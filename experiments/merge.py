@@ -28,8 +28,10 @@ def merge(out: Path) -> pd.DataFrame:
     rows = pd.concat(tables).sort_values(KEY, ignore_index=True)
     if twice := rows[rows.duplicated(KEY)][KEY].to_numpy().tolist():
         raise RegtorchError(f"{out}: {', '.join(map(str, twice[0]))} is there twice, expected each registration once")
-    rows = rows.astype(dict.fromkeys(rows.select_dtypes("float64"), "float32"))
-    rows.to_parquet(out / MERGED, index=False, compression="zstd")
+    numbers = list(rows.select_dtypes("float64"))
+    rows = rows.astype(dict.fromkeys(numbers, "float32"))
+    small = {"use_dictionary": [name for name in rows if name not in numbers], "use_byte_stream_split": numbers}
+    rows.to_parquet(out / MERGED, index=False, compression="zstd", **small)
     return rows
 
 
