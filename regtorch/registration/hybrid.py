@@ -58,8 +58,9 @@ def hybrid(
 
     Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
-    edges that look a pixel wide, on the finest level ``edges_px`` wide in turn. If in the end all tissue is more
-    similar than ``trusted_similarity``, and than bone, it has not moved, and makes the answer.
+    edges that look a pixel wide, on the finest level ``edges_px`` wide in turn, or only the last of these where noise
+    decides: where bone is not more similar than ``trusted_similarity``. If in the end all tissue is more similar than
+    that, and than bone, it has not moved, and makes the answer.
 
     For ablations: without ``soft_tissue`` bone does all, and by all that it attenuates; ``screening`` may be
     ``screen_one_by_one``, and ``climb`` be ``optimization.evolve``, which knows no derivatives.
@@ -106,11 +107,13 @@ def hybrid(
         edges = best_edges_px(by_bone, parameters[0])
         by_bone = by_bone.with_edges(edges)
         best = parameters[0] if number else along_the_flat(by_bone, parameters[0], stage.steps)
-        best = refined(by_bone, best, stage.steps).parameters
+        end = refined(by_bone, best, stage.steps)
+        best = end.parameters
         rest = distinct(problem, parameters, PLACE_MM, len(parameters))[1:]
         parameters = torch.cat([best[None], parameters[rest]])
     problem.progress(0.8, f"{finest.pixels} pixels")
-    found = finished(matcher(finest, bone), best, finest.steps, edges_px)
+    widths = edges_px if end.similarity > trusted_similarity else edges_px[-1:]
+    found = finished(matcher(finest, bone), best, finest.steps, widths)
     if not alike:
         problem.progress(0.9, "all tissue")
         if float(pyramids[1][1].similarity(found.parameters[None])[0]) > trusted_similarity:
