@@ -1,0 +1,95 @@
+"""The global stage: places where a search should climb, for bone alone and for all tissue."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.registration.matcher import Matcher
+from regtorch.registration.problem import Problem
+from regtorch.registration.screening import Candidates
+
+PLACE_MM = 10.0
+"""Poses that project the anatomy nearer to each other than this are at the same place."""
+
+_FIRST_LOOK = 0.25
+"""The share of the poses that either tissue is screened with; the one that explains more gets the others as well."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A level of the pyramid: the longer side of its image, how many candidates climb there, how many steps each."""
+
+    pixels: int
+    candidates: int
+    steps: int
+
+
+def candidates(
+    problem: Problem,
+    tissues: Sequence[Matcher],
+    screening: Callable[..., Candidates],
+    poses: int,
+    stage: Stage,
+    most: int,
+) -> tuple[Float[Tensor, "n 9"], int]:
+    """At most ``most`` places, and which of the ``tissues``, one or two matchers of one level, explains more.
+
+    A quarter of the poses are screened for either tissue, the others for the one that explained more, which most places
+    are of, best first; a quarter are the other's.
+    """
+
+    def look(tissue: int, share: float, turn: int) -> Candidates:
+        some = math.ceil(share * poses)
+        problem.progress(0.1 * turn, f"screening {some} poses")
+        climbing = replace(stage, candidates=math.ceil(share * stage.candidates))
+        return _climbed(problem, tissues[tissue], screening, some, climbing, most, (3 * problem.seed + turn) % 2**32)
+
+    if len(tissues) == 1:
+        return look(0, 1.0, 0).parameters, 0
+    looks = [look(tissue, _FIRST_LOOK, tissue) for tissue in (0, 1)]
+    better = int(looks[1].similarity[0] > looks[0].similarity[0])
+    rest = look(better, 1 - _FIRST_LOOK, 2)
+    order = torch.cat([looks[better].similarity, rest.similarity]).argsort(descending=True)
+    places = torch.cat([looks[better].parameters, rest.parameters])[order]
+    few = most // 4
+    places = places[distinct(problem, places, PLACE_MM, most - few, each=3)]
+    return torch.cat([places, looks[1 - better].parameters[:few]]), better
+
+
+def _climbed(
+    problem: Problem,
+    matcher: Matcher,
+    screening: Callable[..., Candidates],
+    poses: int,
+    stage: Stage,
+    most: int,
+    seed: int,
+) -> Candidates:
+    """Ends of climbs from the best that are screened, the better half of them all the way; at most three of a place."""
+    screened = screening(problem, matcher.level, poses, seed).parameters
+    matcher.tally.evaluations += poses
+    chosen = distinct(problem, screened, matcher.level.fixed.detector.pixel_mm, stage.candidates)
+    halfway = matcher.climb(screened[chosen], stage.steps // 2)
+    better = halfway.similarity.argsort(descending=True)[: -(-len(chosen) // 2)]
+    climbed = matcher.climb(problem.embed(halfway.x[better]), stage.steps - stage.steps // 2)
+    order = climbed.similarity.argsort(descending=True)
+    places = problem.embed(climbed.x[order])
+    kept = distinct(problem, places, PLACE_MM, most, each=3)
+    return Candidates(places[kept], climbed.similarity[order][kept])
+
+
+def distinct(
+    problem: Problem, parameters: Float[Tensor, "n 9"], shift_mm: float, most: int, each: int = 1
+) -> list[int]:
+    """The first ``most`` of which no more than ``each`` put the anatomy at the same place."""
+    kept: list[int] = []
+    for index in range(len(parameters)):
+        if len(kept) == most:
+            break
+        if not kept or int((problem.shift_mm(parameters[kept], parameters[index]) <= shift_mm).sum()) < each:
+            kept.append(index)
+    return kept

@@ -1,0 +1,79 @@
+"""The local stage: the last climbs of a level, which forgive what bone does not explain, and the finest level's."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from regtorch.registration.matcher import Matcher
+from regtorch.registration.uncertainty import covariance
+
+_NEAR = 1e-5
+"""First damping of a climb that begins near its end: more would keep SDD and ODD, which hardly matter, from moving."""
+
+_FLATTEST, _LOSSES, _LEAST_CURVATURE = 2, (0.01, 0.04), 1e-12
+
+
+class End(NamedTuple):
+    parameters: Float[Tensor, "9"]
+    similarity: float
+    matcher: Matcher
+
+
+class Answer(NamedTuple):
+    """``plain_similarity`` forgives nothing, so that those of different tissue can be compared."""
+
+    parameters: Float[Tensor, "9"]
+    similarity: float
+    plain_similarity: float
+    covariance: Float[Tensor, "9 9"]
+
+
+def refined(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> End:
+    """Where a climb ends that forgives what its beginning does not explain."""
+    forgiving = matcher.forgiving(parameters)
+    climbed = forgiving.climb(parameters[None], steps, _NEAR)
+    return End(matcher.problem.embed(climbed.x[0]), float(climbed.similarity[0]), forgiving)
+
+
+def along_the_flat(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:
+    """The best end of climbs from this one's end and from places to both sides along the flattest directions.
+
+    Source and patient together can move far along the beam and change little: a valley with more than one bottom.
+    """
+    problem, forgiving = matcher.problem, matcher.forgiving(parameters)
+    climbed = forgiving.climb(parameters[None], steps, _NEAR)
+    scale = 1 / problem.sensitivity().clamp(1e-3, 1e6)
+    values, axes = torch.linalg.eigh(climbed.jtj[0] * scale[:, None] * scale)
+    offsets = [torch.zeros_like(scale)]
+    for value, axis in list(zip(values, axes.mT, strict=True))[:_FLATTEST]:
+        for loss in _LOSSES:  # what a parabola would lose where the similarity is one half; the truth is no parabola
+            step = (8 * loss / value.clamp_min(_LEAST_CURVATURE)).sqrt() * axis * scale
+            offsets += [step, -step]
+    beside = (climbed.x + torch.stack(offsets)).clamp(problem.lower, problem.upper)
+    ends = forgiving.climb(problem.embed(beside), steps, _NEAR)
+    return problem.embed(ends.x[ends.similarity.argmax()])
+
+
+def best_edges_px(matcher: Matcher, parameters: Float[Tensor, "9"]) -> float:
+    """How wide voxels' edges look in the radiograph: as wide as voxels, or a pixel, whichever is more similar here."""
+    linear = matcher.with_edges(torch.inf).forgiving(parameters)
+    constant = linear.with_edges(1.0)
+    return (
+        1.0
+        if float((constant.similarity(parameters[None]) - linear.similarity(parameters[None]))[0]) > 0
+        else torch.inf
+    )
+
+
+def finished(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int, edges_px: Sequence[float]) -> Answer:
+    """Refined on the finest level: linear, or with sharper and sharper edges."""
+    constant = best_edges_px(matcher, parameters) < torch.inf
+    for width in edges_px:
+        end = refined(matcher.with_edges(width if constant else torch.inf), parameters, steps)
+        parameters = end.parameters
+    plain = float(replace(end.matcher, gradients=matcher.gradients).similarity(parameters[None])[0])
+    return Answer(parameters, end.similarity, plain, covariance(end.matcher, parameters))
