@@ -38,7 +38,8 @@ def levenberg_marquardt(
     of rho is not J^T J but rho times that: M has constant length, so F M'' = -rho J^T J + what F has beside M. Steps
     are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units of ``scale``, and
     taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, when one that is hardly
-    damped gains less than ``least_gain`` of what rho lacks to 1, or when one is not taken though strongly damped.
+    damped, and that no limit cuts off, gains less than ``least_gain`` of what rho lacks to 1, or when one is not taken
+    though strongly damped.
     Points stay between ``lower`` and ``upper``: a parameter at a limit that wants beyond rests.
     """
     x = start.clamp(lower, upper)
@@ -62,12 +63,13 @@ def levenberg_marquardt(
         damped = damped * moving[:, :, None] * moving[:, None, :] + torch.diag_embed(1 - moving)
         step, failed = torch.linalg.solve_ex(damped, -(slope * moving)[..., None])
         step = torch.where(((failed == 0)[:, None]) & step[..., 0].isfinite().all(1, keepdim=True), step[..., 0], 0)
-        there = (here + step * scale).clamp(lower, upper)
+        wanted = here + step * scale
+        there = wanted.clamp(lower, upper)
         found, there_jtj, there_jtr = equations(there)
         evaluations += len(there)
         gain = found - similarity[active]
         better = gain > 0
-        ended = better & (factor[active] < 1) & (gain < least_gain * (1 - found))
+        ended = better & (factor[active] < 1) & (there == wanted).all(1) & (gain < least_gain * (1 - found))
         taken = active[better]
         x[taken], similarity[taken] = there[better], found[better]
         jtj[taken], jtr[taken] = there_jtj[better], there_jtr[better]

@@ -73,9 +73,10 @@ def _climbed(
     screened = screening(problem, matcher.level, poses, seed).parameters
     matcher.tally.evaluations += poses
     chosen = distinct(problem, screened, matcher.level.fixed.detector.pixel_mm, stage.candidates)
-    halfway = matcher.climb(screened[chosen], stage.steps // 2)
-    better = halfway.similarity.argsort(descending=True)[: -(-len(chosen) // 2)]
-    climbed = matcher.climb(problem.embed(halfway.x[better]), stage.steps - stage.steps // 2)
+    half = math.ceil(stage.steps / 2)
+    halfway = matcher.climb(screened[chosen], half)
+    better = halfway.similarity.argsort(descending=True)[: math.ceil(len(chosen) / 2)]
+    climbed = matcher.climb(problem.embed(halfway.x[better]), max(1, stage.steps - half))
     order = climbed.similarity.argsort(descending=True)
     places = problem.embed(climbed.x[order])
     kept = distinct(problem, places, PLACE_MM, most, each=3)

@@ -22,6 +22,9 @@ from regtorch.similarity import gradient_correlation
 _WEAK = 0.3
 """The best start's mean similarity of bone and all tissue: 0.35 and more for right radiographs, up to 0.29 for another
 patient's, mirrored ones and those upside down, but for some that had a rival or lay at a limit of the range."""
+_LEAST_TISSUE = 3.0
+"""All tissue of a CT in which soft tissue surrounds the bones, over what bone attenuates of it: from 3 on. Around dry
+bones there are but voxels that they fill in part; torsos have nine times as much."""
 _AS_THEY_ARE = 1e-3
 """Voxels per pixel for a volume that is coarse already."""
 
@@ -43,7 +46,7 @@ def hybrid(
     screening: Callable[..., Candidates] = screen,
     climb: Climb = levenberg_marquardt,
 ) -> Found:
-    """Screen ``poses`` draws for bone or for all tissue, climb from the best, refine what explains most.
+    """Screen ``poses`` draws and a quarter more, climb from the best, refine what explains most.
 
     A quarter of the draws are screened for either tissue, the others for the one that explained more. The best
     candidates climb on the ``first`` level with their tissue, the better half of them all the way; those that go on are
@@ -53,14 +56,15 @@ def hybrid(
     ``finest``, the best one then climbs again, where what it did not explain is marked down (``explained_weight``); on
     the second also from places beside it, along the flattest directions.
 
-    Where all tissue explained more than bone there is soft tissue in the radiograph, and bone shows by its
-    ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone alone.
+    Where all tissue explained more than bone, of a CT that has soft tissue, this is in the radiograph too, and bone
+    shows by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone alone.
 
     Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
     edges that look a pixel wide, on the finest level ``edges_px`` wide in turn, or only the last of these where noise
-    decides: where bone is not more similar than ``trusted_similarity``. If in the end all tissue is more similar than
-    that, and than bone, it has not moved, and makes the answer.
+    decides: where bone is not more similar than ``trusted_similarity``, what it does not explain marked down. If in the
+    end all tissue is more similar than that on the second level, nothing marked down, it has not moved, and makes the
+    answer if it is more similar than bone on the finest.
 
     For ablations: without ``soft_tissue`` bone does all, and by all that it attenuates; ``screening`` may be
     ``screen_one_by_one``, and ``climb`` be ``optimization.evolve``, which knows no derivatives.
@@ -85,7 +89,10 @@ def hybrid(
 
     alone, whole = problem.attenuating, problem.whole
     alike = not soft_tissue or (alone.data.shape == whole.data.shape and torch.equal(alone.data, whole.data))
-    bone = alone if alike or not contrast else bone_contrast(alone, threshold_hu=problem.threshold_hu)
+    bone = alone
+    if contrast and not alike and bool(whole.data.sum() > _LEAST_TISSUE * alone.data.sum()):
+        beyond = bone_contrast(alone, threshold_hu=problem.threshold_hu)
+        bone = beyond if bool(beyond.data.any()) else alone
     pyramids = [pyramid(bone, (first, *stages))]
     if not alike:
         pyramids.append(pyramid(whole, (first, stages[0])))

@@ -22,7 +22,7 @@ _PIXELS_AT_ONCE = 1 << 21
 
 
 class Candidates(NamedTuple):
-    """Poses and their gradient correlation by this estimate, best first."""
+    """Poses and their gradient correlation, exact or by the estimate that ``screen`` makes, best first."""
 
     parameters: Float[Tensor, "n 9"]
     similarity: Float[Tensor, " n"]

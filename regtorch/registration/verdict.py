@@ -12,13 +12,13 @@ from regtorch.registration.result import Status
 from regtorch.registration.uncertainty import root_mean_square_mm
 
 _AGREE_MM = 20.0
-"""Starts that project the anatomy this close to each other have found the same place on the first level."""
+"""Starts that project the anatomy this close to each other have found the same place on the second level."""
 
 _LEAST_SIMILARITY = 0.05
 """The best start's, below which nothing matches. Unrelated images and noise have about 0.03."""
 
 _LEAST_GAP = 0.05
-"""How much better than the next best place the answer must be on the first level."""
+"""How much better than the next best place the answer must be on the second level."""
 
 _MOST_EXPECTED_MM = 3.0
 """Root mean square: 95 % of such errors are below 5 mm, within which a vertebra is the right one."""

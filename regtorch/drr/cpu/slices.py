@@ -25,9 +25,8 @@ def slices_across(data: Tensor, axis: int) -> Slices:
     """``data`` [d, h, w] or [c, d, h, w] across axis i, j or k (0, 1, 2), kept as long as the tensor lives unchanged.
 
     First, groups [c, n, cells]: a complex number of 16 bytes holds the four voxels (b, a), (b + 1, a), (b, a + 1),
-    (b + 1, a + 1) of a slice with a border of air. Second, summed-area tables over blocks of cells between
-    four voxels, 1 where any of these is not zero. Third, the size
-    of a slice with its border: along a, along b.
+    (b + 1, a + 1) of a slice with a border of air. Second, summed-area tables over blocks of cells between four voxels,
+    1 where any of these is not zero. Third, the size of a slice with its border: along a, along b.
     """
     version, kept = _prepared.get(data, (None, {}))
     if data.is_inference():  # torch does not count the changes of such a tensor
