@@ -57,7 +57,8 @@ def hybrid(
     the second also from places beside it, along the flattest directions.
 
     Where all tissue explained more than bone, of a CT that has soft tissue, this is in the radiograph too, and bone
-    shows by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone alone.
+    shows by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone
+    alone.
 
     Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have

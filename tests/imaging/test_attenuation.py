@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Volume, attenuation, coarsen, crop_to_anatomy, read_volume
+from regtorch.imaging import Volume, attenuation, bone_contrast, coarsen, crop_to_anatomy, read_volume
 
 
 def volume_of(data: torch.Tensor, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:
@@ -49,6 +49,15 @@ def test_nothing_over_the_threshold() -> None:
     for what in (attenuation, crop_to_anatomy):
         with pytest.raises(RegtorchError, match="no voxel over -1000 HU"):
             what(volume_of(torch.full((2, 3, 4), -3024.0)), threshold_hu=None)
+
+
+def test_contrast_is_what_bone_adds_to_the_tissue_that_it_displaces() -> None:
+    hu = torch.tensor([-1000.0, 50, 100, 600]).reshape(1, 1, 4)
+    bone = attenuation(volume_of(hu))
+    torch.testing.assert_close(bone_contrast(bone).data.flatten(), torch.tensor([0, 0, 0, 0.01]))
+    for least in (None, -1000.0):
+        everything = attenuation(volume_of(hu), threshold_hu=least)
+        assert torch.equal(bone_contrast(everything, threshold_hu=least).data, everything.data)
 
 
 def test_units_are_not_confused() -> None:

@@ -67,6 +67,16 @@ def test_the_truth_is_found_from_far_away(pair, threshold_hu):
     assert found.evaluations < 4000
 
 
+def test_bone_no_denser_than_the_threshold_is_found(pair):
+    """It has no contrast to soft tissue that is just less dense."""
+    hu = pair.ct.data
+    ct = pair.ct.with_data(torch.where(hu >= 100, 100.0, torch.where(hu > -300, 0.0, -1000.0)))
+    truth = simulate(ct, pair.truth.parameters, "PA", detector=DETECTOR, threshold_hu=100.0)
+    radiograph = Radiograph.from_image(truth.image, DETECTOR)
+    found = register(ct, radiograph, "PA", method=SMALL, initial=pair.initial, half_range=HALF_RANGE)
+    assert _pde_mm(pair, found.parameters) < 1
+
+
 def test_a_mirrored_radiograph_is_recognised(pair):
     mirrored = Radiograph.from_image(pair.radiograph.image.flip(1), DETECTOR)
     settings = {"method": SMALL, "initial": pair.initial, "half_range": HALF_RANGE}
@@ -87,10 +97,11 @@ def test_what_is_frozen_stays(pair, free, moving):
     "without",
     [
         {"soft_tissue": False},
+        {"contrast": False},
         {"screening": screen_one_by_one},
         {"climb": evolve, "poses": 50, "first": Stage(30, 3, 6)},
     ],
-    ids=["soft tissue", "shifts", "derivatives"],
+    ids=["soft tissue", "contrast", "shifts", "derivatives"],
 )
 def test_each_ingredient_can_be_left_out(pair, without):
     """From near by: what each is worth from afar is for a study to say."""
