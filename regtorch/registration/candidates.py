@@ -60,6 +60,14 @@ def candidates(
     return torch.cat([places, looks[1 - better].parameters[:few]]), better
 
 
+def more_candidates(
+    problem: Problem, tissue: Matcher, screening: Callable[..., Candidates], poses: int, stage: Stage, most: int
+) -> Float[Tensor, "n 9"]:
+    """As many again of one tissue, from other poses."""
+    problem.progress(0.4, f"screening {poses} poses more")
+    return _climbed(problem, tissue, screening, poses, stage, most, (3 * problem.seed + 3) % 2**32).parameters
+
+
 def _climbed(
     problem: Problem,
     matcher: Matcher,

@@ -12,11 +12,12 @@ from torch import Tensor
 from regtorch.errors import RegtorchError
 from regtorch.imaging import Volume, bone_contrast
 from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
-from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct
+from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
 from regtorch.registration.refinement import along_the_flat, best_edges_px, finished, refined
 from regtorch.registration.screening import Candidates, screen
+from regtorch.registration.verdict import convincing
 from regtorch.similarity import gradient_correlation
 
 _WEAK = 0.3
@@ -25,6 +26,8 @@ patient's, mirrored ones and those upside down, but for some that had a rival or
 _LEAST_TISSUE = 3.0
 """All tissue of a CT in which soft tissue surrounds the bones, over what bone attenuates of it: from 3 on. Around dry
 bones there are but voxels that they fill in part; torsos have nine times as much."""
+_MORE = 4
+"""How many times as many poses are screened where the first do not convince."""
 _AS_THEY_ARE = 1e-3
 """Voxels per pixel for a volume that is coarse already."""
 
@@ -52,9 +55,10 @@ def hybrid(
     candidates climb on the ``first`` level with their tissue, the better half of them all the way; those that go on are
     the best ones, but at most three of a place, and a quarter of them the other tissue's. From there on all climb with
     bone alone, fewer on each level, and the mean of bone's similarity and, on the second level, that of all tissue
-    ranks them. ``Found.starts`` are the ends of the second level's climbs, by that mean. On each level, and on the
-    ``finest``, the best one then climbs again, where what it did not explain is marked down (``explained_weight``); on
-    the second also from places beside it, along the flattest directions.
+    ranks them. Where no two of the second level's climbs agree on the best place, or another is nearly as good, four
+    times as many poses are screened besides. ``Found.starts`` are the ends of the second level's climbs, by that mean.
+    On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is marked down
+    (``explained_weight``); on the second also from places beside it, along the flattest directions.
 
     Where all tissue explained more than bone, of a CT that has soft tissue, this is in the radiograph too, and bone
     shows by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone
@@ -101,16 +105,26 @@ def hybrid(
     parameters, better = candidates(problem, widest, screening, poses, first, stages[0].candidates)
     if bone is not alone and not better:
         bone, pyramids[0] = alone, pyramid(alone, (first, *stages))
+
+    def ranked(by_bone: Matcher, places: Float[Tensor, "n 9"], steps: int) -> tuple[Tensor, Tensor]:
+        """Where climbs by bone end, and bone's and all tissue's similarity together, best first."""
+        climbed = by_bone.climb(places, steps)
+        ends = problem.embed(climbed.x)
+        together = sum([levels[1].similarity(ends) for levels in pyramids[1:]], climbed.similarity) / len(pyramids)
+        order = together.argsort(descending=True)
+        return ends[order], together[order]
+
     starts, edges = None, torch.inf
     for number, stage in enumerate(stages):
         problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
         by_bone = pyramids[0][number + 1].with_edges(edges)
-        climbed = by_bone.climb(parameters[: stage.candidates], stage.steps)
-        parameters = problem.embed(climbed.x)
-        together = sum([levels[1].similarity(parameters) for levels in pyramids[1:]], climbed.similarity)
-        together = together / len(pyramids)
-        order = together.argsort(descending=True)
-        parameters, together = parameters[order], together[order]
+        parameters, together = ranked(by_bone, parameters[: stage.candidates], stage.steps)
+        if not number and not convincing(problem, parameters, together):
+            more = more_candidates(problem, widest[better], screening, _MORE * poses, first, stage.candidates)
+            both = zip((parameters, together), ranked(by_bone, more, stage.steps), strict=True)
+            parameters, together = (torch.cat(pair) for pair in both)
+            order = together.argsort(descending=True)
+            parameters, together = parameters[order], together[order]
         starts = (parameters, together) if starts is None else starts
         edges = best_edges_px(by_bone, parameters[0])
         by_bone = by_bone.with_edges(edges)

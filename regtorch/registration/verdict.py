@@ -27,6 +27,13 @@ _VERTEBRA_MM = (15.0, 55.0)
 _LARGEST_SDD_DEVIATION = 0.02
 
 
+def convincing(problem: Problem, starts: Float[Tensor, "n 9"], similarity: Float[Tensor, " n"]) -> bool:
+    """Whether more than one of the starts, sorted, ended where the first did, and no other place is nearly as good."""
+    agree = problem.shift_mm(starts, starts[0]) < _AGREE_MM
+    rivals = similarity[~agree]
+    return int(agree.sum()) > 1 and (not len(rivals) or float(similarity[0] - rivals[0]) >= _LEAST_GAP)
+
+
 def judge(problem: Problem, found: Found) -> tuple[Status, str]:
     """``failed`` where nothing matches; ``doubtful`` where the answer is at a limit, weak, found once or rivalled."""
     best = float(found.start_similarity.max())
