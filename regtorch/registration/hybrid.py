@@ -120,7 +120,7 @@ def hybrid(
         by_bone = pyramids[0][number + 1].with_edges(edges)
         parameters, together = ranked(by_bone, parameters[: stage.candidates], stage.steps)
         if not number and not convincing(problem, parameters, together):
-            more = more_candidates(problem, widest[better], screening, _MORE * poses, first, stage.candidates)
+            more = more_candidates(problem, pyramids[better][0], screening, _MORE * poses, first, stage.candidates)
             both = zip((parameters, together), ranked(by_bone, more, stage.steps), strict=True)
             parameters, together = (torch.cat(pair) for pair in both)
             order = together.argsort(descending=True)
