@@ -126,7 +126,8 @@ def check(config: DictConfig) -> None:
             raise RegtorchError(f"{key}={value}: expected {expected}")
     parse_shard(config.shard)
     made = {key: _checked(config, key) for key in COMPONENTS}
-    if made["registration"].func is hybrid and made["similarity"] is not gradient_correlation:
+    method = getattr(made["registration"], "func", made["registration"])
+    if method is hybrid and made["similarity"] is not gradient_correlation:
         raise RegtorchError("similarity: registration=hybrid expects gradient_correlation, others registration=cmaes")
     refuse_to_mix(config, Path(config.out, config.arm), CASES)
 
