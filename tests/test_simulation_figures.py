@@ -116,6 +116,30 @@ def test_figure_2_shows_a_background_if_there_is_one(folder, tmp_path):
     assert [len(axes.images) for axes in start_figure(rows, tmp_path).axes] == [1, 0]
 
 
+def test_figure_2_is_of_the_rows_that_know_their_marker(tmp_path):
+    rows = simulation_rows(6, _ARMS)
+    places = list(rows.filter(regex="marker|corner"))
+    rows.loc[rows.seed < 2, places] = np.nan
+    (squares,) = [one for one in start_figure(rows, tmp_path).axes[0].collections if isinstance(one, PolyCollection)]
+    assert len(squares.get_paths()) == 4
+    rows[places] = np.nan
+    rows.to_parquet(tmp_path / "registrations.parquet")
+    simulation_figures.main(tmp_path)
+    assert sorted(path.stem for path in tmp_path.glob("*.png")) == ["coupling", "figure4", "pde"]
+    with pytest.raises(RegtorchError, match="no row with 'marker_x_mm'"):
+        simulation_figures.main(tmp_path, "figure2")
+
+
+def test_arms_may_have_other_views(tmp_path):
+    rows = simulation_rows(5, _ARMS)
+    rows = rows[(rows.arm == "9-DOF") | (rows["view"] == "PA")]
+    rows.to_parquet(tmp_path / "registrations.parquet")
+    simulation_figures.main(tmp_path, "table")
+    found = {line[0]: line[1:] for line in _cells((tmp_path / "table.md").read_text(), "Beside the paper")}
+    assert found["PDE, LAT"][0]
+    assert found["PDE, LAT"][2:] == ["", "0.566"]
+
+
 def test_slopes_leave_out_what_was_not_found():
     rows = simulation_rows(30, {"6-DOF": 6}, ("PA",)).astype({"error_x_s_mm": float})
     rows["pde_mm"] = 0.5
