@@ -81,9 +81,8 @@ class Study:
     def __init__(self, config: DictConfig) -> None:
         self.config = config
         self.detector = Detector(**config.detector)
+        self.targets = _targets(config)
         self.cts = {Path(path).name: read_volume(path) for path in config.cts}
-        files = {name: Path(config.targets, name.partition(".")[0]).with_suffix(".csv") for name in self.cts}
-        self.targets = {name: read_points(file) for name, file in files.items() if file.exists()}
 
     def row(self, case: Case, tell: Any = lambda text, refresh: None) -> dict[str, Any]:
         """Registers one case, and takes a picture of it where that is worth one."""
@@ -141,6 +140,18 @@ class Study:
             return self.radiograph(following, view, self.config.decoy_of, seed).image
 
         return instantiate(self.config.images[name])(right.image, other, torch.Generator().manual_seed(seed))
+
+
+def _targets(config: DictConfig) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """Named points (LPS mm) of each CT that has a file of them."""
+    if config.targets is None:
+        return {}
+    folder = Path(config.targets)
+    if not folder.is_dir():
+        raise RegtorchError(f"targets={folder}: no such folder, expected one with NAME.csv for a CT NAME, or null")
+    names = [Path(path).name for path in config.cts]
+    files = {name: folder / f"{name.partition('.')[0]}.csv" for name in names}
+    return {name: read_points(file) for name, file in files.items() if file.exists()}
 
 
 if __name__ == "__main__":

@@ -90,6 +90,14 @@ def test_the_start_is_within_what_is_searched_and_the_truth_within_its_range(ct,
     assert torch.equal(again[1], initial)
 
 
+def test_targets_are_those_of_a_folder_that_exists_or_of_none(ct, tmp_path):
+    (tmp_path / "one.csv").write_text("L3,1,2,3\n")
+    assert search.Study(_config(ct, tmp_path, f"targets={tmp_path}")).targets == {"one.nii.gz": {"L3": (1, 2, 3)}}
+    assert search.Study(_config(ct, tmp_path, "targets=null")).targets == {}
+    with pytest.raises(RegtorchError, match=r"targets=.*none: no such folder"):
+        search.Study(_config(ct, tmp_path, f"targets={tmp_path / 'none'}"))
+
+
 def test_shards_share_the_cases_out_and_count_each_others(ct, tmp_path):
     shared = "kinds=[matched,unmoved]", "seeds=3"
     both = [search.table_and_cases(_config(ct, tmp_path, *shared, f"shard={i}/2"))[1] for i in (0, 1)]
