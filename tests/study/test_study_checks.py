@@ -54,6 +54,13 @@ def test_a_component_may_have_no_options(settings):
         check(config)
 
 
+def test_any_radiograph_may_be_chosen(settings):
+    assert settings().radiograph.threshold_hu == 100
+    assert settings("radiograph.threshold_hu=50").radiograph.threshold_hu == 50
+    for radiograph in ("simulate", "realistic"):
+        check(settings(f"radiograph={radiograph}"))
+
+
 def test_files_are_looked_for(settings, tmp_path):
     with pytest.raises(RegtorchError, match=r"^data\.path: nothing given, expected a value"):
         check(settings("data=ct"))
