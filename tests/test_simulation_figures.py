@@ -188,6 +188,17 @@ def test_an_ablation_may_be_of_folders(tmp_path):
     assert "| hybrid_bone | 10 |" in (tmp_path / "table.md").read_text()
 
 
+def test_arms_of_other_views_are_not_compared(tmp_path):
+    views = {"a": "PA", "b": "LAT", "c": "PA"}
+    rows = simulation_rows(9, dict.fromkeys(views, 9))
+    rows[rows["view"] == rows.arm.map(views)].to_parquet(tmp_path / "registrations.parquet")
+    ablation_figures.main(tmp_path)
+    against = {line[0]: line[1:] for line in _cells((tmp_path / "table.md").read_text(), "Against a")[2:]}
+    assert against["b"] == ["0", "", "", ""]
+    assert against["c"][0] == "9"
+    assert against["c"][2] == against["c"][3]
+
+
 def test_an_ablation_needs_two_arms_and_a_reference_of_them(tmp_path):
     simulation_rows(3, {"T=0": 9}).to_parquet(tmp_path / "registrations.parquet")
     with pytest.raises(RegtorchError, match=r"arms \[T=0\], expected two or more"):

@@ -15,6 +15,9 @@ PARAMETERS = (
 _KEYS = ("arm", "ct", "view", "kind", "dof", "radiograph_threshold_hu")
 """What names a registration in one study or another, besides its seed."""
 
+_PLACES = ("ct", "view", "kind")
+"""What names, besides its seed, the case that a registration is of: registrations of another are not to be compared."""
+
 _MERGED, _TABLES = "registrations.parquet", "registrations*.csv"
 _NUMBERS = ("initial_pde_mm", "pde_mm", "evaluations", "seconds")
 _KNOWN = ("view", "seed", "status", *_NUMBERS)
@@ -61,6 +64,12 @@ def keys_of(rows: pd.DataFrame) -> list[str]:
     if "arm" not in keys:
         return keys
     return [key for key in keys if key == "arm" or rows.groupby("arm")[key].nunique(dropna=False).max() > 1]
+
+
+def cases_of(rows: pd.DataFrame) -> list[str]:
+    """The columns in which registrations of two arms must agree to be compared: the case, and what varies in an arm."""
+    varying = {*keys_of(rows), *(key for key in _PLACES if key in rows and rows[key].nunique(dropna=False) > 1)}
+    return [*(key for key in _named(rows) if key in varying and key != "arm"), "seed"]
 
 
 def groups_of(rows: pd.DataFrame, keys: list[str]) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
