@@ -5,6 +5,7 @@ import io
 import os
 import socket
 from collections.abc import Iterable, Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,10 @@ def whole_lines(table: Path) -> str:
 
 
 def append(table: Path, row: Mapping[str, Any]) -> None:
-    """Adds a row, after the header if it is the first, in place of what a kill left of one."""
+    """Adds a row, after the header if it is the first, in place of what a kill left of one.
+
+    Raises ``RegtorchError`` where the header is of other columns.
+    """
     lines = io.StringIO()
     writer = csv.DictWriter(lines, row)
     with table.open("ab", buffering=0) as file:
@@ -79,8 +83,16 @@ def append(table: Path, row: Mapping[str, Any]) -> None:
         file.truncate(size)
         if not size:
             writer.writeheader()
+        elif (header := _header(table)) != [*row]:
+            was, wanted = next(pair for pair in zip_longest(header, row) if pair[0] != pair[1])
+            raise RegtorchError(f"{table}: column {was!r} where {wanted!r} is expected, or another out=")
         writer.writerow(row)
         file.write(lines.getvalue().encode())
+
+
+def _header(table: Path) -> list[str]:
+    with table.open(newline="", encoding="utf-8") as file:
+        return next(csv.reader(file))
 
 
 def _whole_size(table: Path) -> int:

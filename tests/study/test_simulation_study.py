@@ -89,6 +89,16 @@ def test_a_row_cut_short_is_written_anew(tmp_path):
         assert table.read_bytes() == whole
 
 
+def test_a_row_of_other_columns_is_refused(tmp_path):
+    table = tmp_path / "registrations.csv"
+    append(table, {"seed": 0, "view": "PA"})
+    before = table.read_bytes()
+    for row in ({"view": "PA", "seed": 1}, {"seed": 1}, {"seed": 1, "view": "PA", "more": 2}):
+        with pytest.raises(RegtorchError, match=r"registrations\.csv: column .* expected"):
+            append(table, row)
+    assert table.read_bytes() == before
+
+
 def test_changed_settings_refuse_to_mix(settings, tmp_path):
     first = f"out={tmp_path}", "views=[PA]", "seeds=1"
     simulation_study.run(settings(*first))
