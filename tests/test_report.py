@@ -183,7 +183,7 @@ def _without(path: Path, column: str) -> None:
     [
         (lambda folder: folder.rmdir(), "no such folder, expected one of a study"),
         (lambda folder: None, "no tables of registrations, *.png or table.md, expected a study's folder"),
-        (lambda folder: (folder / "registrations.csv").write_text(""), "registrations.csv: cannot be read"),
+        (lambda folder: (folder / "registrations.csv").write_text(""), "tables without rows, expected registrations"),
         (lambda folder: (folder / "registrations.csv").write_bytes(b"\xff\xfe\n"), "registrations.csv: cannot be"),
         (lambda folder: (folder / "registrations.csv").write_text("a\n1\n"), "no column 'view', expected a table"),
         (lambda folder: _without(folder / "registrations.csv", "pde_mm"), "no column 'pde_mm'"),

@@ -218,6 +218,27 @@ def test_a_table_may_lie_in_shards_that_a_kill_cut_short(tmp_path):
     assert found.pde_mm.tolist() == pytest.approx(rows.pde_mm.tolist())
 
 
+def test_a_table_may_be_empty(tmp_path):
+    rows = simulation_rows(4, {"a": 9}, ("PA",))
+    for arm in ("a", "b"):
+        (tmp_path / arm).mkdir()
+        (tmp_path / arm / "registrations-0.csv").touch()
+    rows.to_csv(tmp_path / "a" / "registrations-1.csv", index=False)
+    found = read_rows(tmp_path)
+    assert found.seed.tolist() == [0, 1, 2, 3]
+    assert found.pde_mm.dtype == "float64"
+
+
+def test_an_arm_may_be_named_like_a_number_or_a_missing_value(tmp_path):
+    for arm in ("0010", "2", "NA"):
+        (tmp_path / arm).mkdir()
+        simulation_rows(4, {arm: 9}).to_csv(tmp_path / arm / "registrations.csv", index=False)
+    assert set(read_rows(tmp_path).arm) == {"0010", "2", "NA"}
+    ablation_figures.main(tmp_path, "NA")
+    against = [line[0] for line in _cells((tmp_path / "table.md").read_text(), "Against NA")[2:]]
+    assert against == ["2", "0010"]
+
+
 @pytest.mark.parametrize(("arms", "views"), [({"9-DOF": 9}, ("PA",)), ({"6-DOF": 6}, ("LAT", "PA"))])
 def test_a_part_of_the_study_can_be_drawn(tmp_path, arms, views):
     simulation_rows(5, arms, views).to_parquet(tmp_path / "registrations.parquet")
