@@ -24,7 +24,7 @@ from matplotlib.lines import Line2D
 from experiments import markdown
 from experiments.statistics import median_interval, paired, share_interval
 from regtorch.errors import RegtorchError
-from regtorch.report.rows import groups_of, keys_of, natural, read_rows
+from regtorch.report.rows import cases_of, groups_of, natural, read_rows
 from regtorch.report.style import DPI, clipped, palette, plain_logarithmic, use_style
 from regtorch.report.summary import distance
 
@@ -75,10 +75,10 @@ def table(rows: pd.DataFrame, found: pd.DataFrame, reference: str) -> str:
         cells = [line.arm, line["view"], line.n, *(_with_interval(line, name) for name in measured)]
         lines.append([*cells, distance(line.worst), f"{line.evaluations:,.0f}", f"{line.seconds:.3g}"])
     alone = markdown.table([*header, "evaluations", "seconds"], lines)
-    cases = [*(key for key in keys_of(rows) if key != "arm"), "seed"]
+    cases = cases_of(rows)
     against = paired(rows.assign(pde_mm=clipped(rows.pde_mm)), reference, cases, "pde_mm")
     lines = [
-        [arm, f"{line.pairs:.0f}", distance(line.ratio), f"{line.p:.2g}", f"{line.p_holm:.2g}"]
+        [arm, f"{line.pairs:.0f}", distance(line.ratio), _p(line.p), _p(line.p_holm)]
         for arm, line in against.iterrows()
     ]
     header = ["arm", "pairs", f"PDE by that of {reference}", "p", "p, corrected"]
@@ -129,6 +129,11 @@ def _point(axes: Axes, y: float, value_low_high: pd.Series, **style: Any) -> Non
 
 def _with_interval(line: pd.Series, name: str) -> str:
     return f"{distance(line[name])} [{distance(line[f'{name}_low'])}, {distance(line[f'{name}_high'])}]"
+
+
+def _p(value: float) -> str:
+    """Nothing for an arm that was not tested."""
+    return "" if np.isnan(value) else f"{value:.2g}"
 
 
 if __name__ == "__main__":

@@ -15,8 +15,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tqdm import tqdm
 
+from experiments.command import told_in_one_line
 from experiments.rows import accuracy_of, cost_of, nine_parameters
-from experiments.table import append, done, keep, refuse_to_mix
+from experiments.table import append, done, keep, locked
 from regtorch.geometry import Detector
 from regtorch.imaging import Radiograph, Volume, read_volume
 from regtorch.registration import initial_parameters, register
@@ -28,23 +29,30 @@ _CASES = ("views", "arms", "seeds", "first_seed", "threads", "out")
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="accuracy")
 def main(config: DictConfig) -> None:
+    with told_in_one_line("accuracy"):
+        run(config)
+
+
+def run(config: DictConfig) -> None:
+    """Does what is missing."""
     torch.set_num_threads(config.threads)
     numba.set_num_threads(config.threads)
     ct = read_volume(config.ct)
     folder = Path(config.out)
-    keep(refuse_to_mix(config, folder, _CASES), folder)
+    table = folder / "registrations.csv"
+    keep(config, folder, _CASES)
     cases = [
         (Path(config.ct).name, view, arm.dof, arm.radiograph_threshold_hu, seed)
         for arm in config.arms
         for seed in range(config.first_seed, config.first_seed + config.seeds)
         for view in config.views
     ]
-    made = done(folder, _KEY)
-    with tqdm(cases, unit="registration", mininterval=1) as bar:
+    with locked(table), tqdm(cases, unit="registration", mininterval=1) as bar:
+        made = done(folder, _KEY)
         for case in bar:
             if tuple("" if value is None else str(value) for value in case) not in made:
                 row = dict(zip(_KEY, case, strict=True)) | _registered(ct, config, *case[1:], bar.set_postfix_str)
-                append(folder / "registrations.csv", row)
+                append(table, row)
 
 
 def _registered(

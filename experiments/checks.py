@@ -2,7 +2,6 @@
 
 import inspect
 import re
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,9 @@ from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from experiments.command import told_in_one_line
 from experiments.table import parse_shard, refuse_to_mix, table_name
-from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, MOST_PIXELS
+from regtorch.arguments import LEAST_PIXELS, MOST_PIXELS
 from regtorch.errors import RegtorchError
 from regtorch.geometry import VIEWS
 from regtorch.registration.hybrid import hybrid
@@ -90,7 +90,7 @@ class CheckFirst(Callback):
 
 def _all_or_exit(jobs: Iterator[DictConfig]) -> None:
     tables = set()
-    try:
+    with told_in_one_line("simulation_study"):
         for job in jobs:
             HydraConfig.instance().set_config(job)
             check(OmegaConf.masked_copy(job, [key for key in job if key != "hydra"]))
@@ -98,9 +98,6 @@ def _all_or_exit(jobs: Iterator[DictConfig]) -> None:
             if table in tables:
                 raise RegtorchError(f"arm={job.arm}, shard={job.shard}: two jobs of the sweep, expected one for each")
             tables.add(table)
-    except RegtorchError as error:
-        print(f"simulation_study: error: {error}", file=sys.stderr)
-        raise SystemExit(BAD_INPUT) from None
 
 
 def _jobs(config: DictConfig) -> Iterator[DictConfig]:
@@ -126,7 +123,8 @@ def check(config: DictConfig) -> None:
             raise RegtorchError(f"{key}={value}: expected {expected}")
     parse_shard(config.shard)
     made = {key: _checked(config, key) for key in COMPONENTS}
-    if made["registration"].func is hybrid and made["similarity"] is not gradient_correlation:
+    method = getattr(made["registration"], "func", made["registration"])
+    if method is hybrid and made["similarity"] is not gradient_correlation:
         raise RegtorchError("similarity: registration=hybrid expects gradient_correlation, others registration=cmaes")
     refuse_to_mix(config, Path(config.out, config.arm), CASES)
 

@@ -3,7 +3,6 @@
 Needs no torch. Rows are sorted by arm, view and seed, so that the same rows make the same table whoever made them.
 """
 
-import io
 import sys
 from pathlib import Path
 
@@ -11,10 +10,13 @@ import pandas as pd
 
 from experiments.table import TABLES, whole_lines
 from regtorch.errors import RegtorchError
+from regtorch.report.rows import read_table
 
 MERGED = "registrations.parquet"
 
 KEY = ["arm", "view", "seed"]
+
+_TYPES = {"within_region": "boolean", "message": "string"}
 
 
 def merge(out: Path) -> pd.DataFrame:
@@ -22,7 +24,8 @@ def merge(out: Path) -> pd.DataFrame:
 
     Raises ``RegtorchError`` where there are none, or where one is there twice.
     """
-    tables = [_read(path) for path in sorted(out.glob(f"*/{TABLES}"))]
+    texts = [whole_lines(path) for path in sorted(out.glob(f"*/{TABLES}"))]
+    tables = [read_table(text, _TYPES) for text in texts if text]  # none where a kill came before the header
     if not tables:
         raise RegtorchError(f"{out}: no {TABLES} in any folder of it, expected those of a study")
     rows = pd.concat(tables).sort_values(KEY, ignore_index=True)
@@ -33,10 +36,6 @@ def merge(out: Path) -> pd.DataFrame:
     small = {"use_dictionary": [name for name in rows if name not in numbers], "use_byte_stream_split": numbers}
     rows.to_parquet(out / MERGED, index=False, compression="zstd", **small)
     return rows
-
-
-def _read(path: Path) -> pd.DataFrame:
-    return pd.read_csv(io.StringIO(whole_lines(path)), dtype={"within_region": "boolean", "message": "string"})
 
 
 if __name__ == "__main__":

@@ -24,9 +24,10 @@ from omegaconf import DictConfig
 from torch import Tensor
 from tqdm import tqdm
 
+from experiments.command import told_in_one_line
 from experiments.failures import went_wrong, write_picture
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
-from experiments.table import append, done, keep, parse_shard, refuse_to_mix, table_name
+from experiments.table import append, done, keep, locked, parse_shard, table_name
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph, read_points, read_volume
@@ -47,14 +48,20 @@ Case = tuple[str, str, str, int]
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="search")
 def main(config: DictConfig) -> None:
+    with told_in_one_line("search"):
+        run(config)
+
+
+def run(config: DictConfig) -> None:
+    """Does what is missing of the shard."""
     torch.set_num_threads(config.threads)
     numba.set_num_threads(config.threads)
     table, own = table_and_cases(config)
     folder = Path(config.out)
-    keep(refuse_to_mix(config, folder, _CASES, parts=("radiographs", "images")), folder)
-    made = done(folder, KEY)
+    keep(config, folder, _CASES, parts=("radiographs", "images"))
     study = Study(config)
-    with tqdm(own, unit="registration", mininterval=1) as bar:
+    with locked(folder / table), tqdm(own, unit="registration", mininterval=1) as bar:
+        made = done(folder, KEY)
         for case in bar:
             if tuple(map(str, case)) not in made:
                 append(folder / table, study.row(case, bar.set_postfix_str))
@@ -81,9 +88,8 @@ class Study:
     def __init__(self, config: DictConfig) -> None:
         self.config = config
         self.detector = Detector(**config.detector)
+        self.targets = _targets(config)
         self.cts = {Path(path).name: read_volume(path) for path in config.cts}
-        files = {name: Path(config.targets, name.partition(".")[0]).with_suffix(".csv") for name in self.cts}
-        self.targets = {name: read_points(file) for name, file in files.items() if file.exists()}
 
     def row(self, case: Case, tell: Any = lambda text, refresh: None) -> dict[str, Any]:
         """Registers one case, and takes a picture of it where that is worth one."""
@@ -141,6 +147,18 @@ class Study:
             return self.radiograph(following, view, self.config.decoy_of, seed).image
 
         return instantiate(self.config.images[name])(right.image, other, torch.Generator().manual_seed(seed))
+
+
+def _targets(config: DictConfig) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """Named points (LPS mm) of each CT that has a file of them."""
+    if config.targets is None:
+        return {}
+    folder = Path(config.targets)
+    if not folder.is_dir():
+        raise RegtorchError(f"targets={folder}: no such folder, expected one with NAME.csv for a CT NAME, or null")
+    names = [Path(path).name for path in config.cts]
+    files = {name: folder / f"{name.partition('.')[0]}.csv" for name in names}
+    return {name: read_points(file) for name, file in files.items() if file.exists()}
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 ``figure2``: where the search begins; ``figure4``: errors of the parameters, PDE before and after; ``coupling``: how the
 patient makes up for the source in 6-DOF; ``pde``: PDE after against before; ``table``: in numbers, beside the paper's.
 What the whole detector shows in ``background_PA.png`` and ``background_LAT.png``, if the folder has them, is behind
-figure 2.
+figure 2, which is left out for a CT without the study's marker.
 """
 
 import argparse
@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 
 from experiments.coupling import coupling_figure
 from experiments.simulation_table import ARMS, table
-from experiments.start_figure import start_figure
+from experiments.start_figure import start_figure, starts_of
 from regtorch.errors import RegtorchError
 from regtorch.report.figures import before_and_after_figure
 from regtorch.report.rows import PARAMETERS, read_rows
@@ -51,6 +51,8 @@ def main(folder: Path, only: str | None = None) -> None:
         "coupling": lambda: coupling_figure(rows),
         "pde": lambda: before_and_after_figure(rows, ["arm", "view"]),
     }
+    if only is None and starts_of(rows, folder).empty:
+        del figures["figure2"]
     for name in figures if only is None else figures.keys() & {only}:
         figure = figures[name]()
         figure.savefig(folder / f"{name}.png", dpi=DPI)

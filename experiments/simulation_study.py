@@ -15,7 +15,6 @@ parameters and errors:
 - marker_*, corner*: see ``experiments.geometries.misplacement``; empty where the CT has no such target
 """
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +25,13 @@ from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from experiments.checks import CASES, component
+from experiments.command import told_in_one_line
 from experiments.data import read
 from experiments.failures import FAILED_MM, went_wrong, write_picture
 from experiments.geometries import Geometries, bone_voxels, centred, misplacement
 from experiments.merge import KEY
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
-from experiments.table import append, done, keep, parse_shard, refuse_to_mix, table_name
-from regtorch.arguments import BAD_INPUT
+from experiments.table import append, done, keep, locked, parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph
@@ -50,11 +49,8 @@ Case = tuple[str, str, int]
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="simulation_study")
 def main(config: DictConfig) -> None:
-    try:
+    with told_in_one_line("simulation_study"):
         run(config)
-    except RegtorchError as error:
-        print(f"simulation_study: error: {error}", file=sys.stderr)
-        raise SystemExit(BAD_INPUT) from None
 
 
 def run(config: DictConfig) -> None:
@@ -64,16 +60,21 @@ def run(config: DictConfig) -> None:
     torch.set_num_threads(config.threads)
     numba.set_num_threads(config.threads)
     folder = Path(config.out) / config.arm
-    own = cases(config)
-    settings = refuse_to_mix(config, folder, CASES)
+    refuse_to_mix(config, folder, CASES)
+    study = Study(config) if _missing(config, folder) else None
+    keep(config, folder, CASES)
+    table = folder / table_name(config.shard)
+    with locked(table):
+        missing, count = _missing(config, folder), len(cases(config))
+        name = config.arm if config.shard is None else f"{config.arm} {config.shard}"
+        bar = tqdm(missing, name, count, initial=count - len(missing), unit="registration", mininterval=1)
+        for case in bar:
+            append(table, study.row(case, bar.set_postfix_str))
+
+
+def _missing(config: DictConfig, folder: Path) -> list[Case]:
     made = done(folder, KEY)
-    missing = [case for case in own if tuple(map(str, case)) not in made]
-    study = Study(config) if missing else None
-    keep(settings, folder)
-    name = config.arm if config.shard is None else f"{config.arm} {config.shard}"
-    bar = tqdm(missing, name, len(own), initial=len(own) - len(missing), unit="registration", mininterval=1)
-    for case in bar:
-        append(folder / table_name(config.shard), study.row(case, bar.set_postfix_str))
+    return [case for case in cases(config) if tuple(map(str, case)) not in made]
 
 
 def cases(config: DictConfig) -> list[Case]:

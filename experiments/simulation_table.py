@@ -39,7 +39,8 @@ def table(rows: pd.DataFrame) -> str:
 
 def _beside_the_paper(rows: pd.DataFrame) -> str:
     arms = [arm for arm in ARMS if (rows.arm == arm).any()]
-    found = {arm: _found(rows[rows.arm == arm]) for arm in arms}
+    views = sorted(rows["view"].unique())
+    found = {arm: _found(rows[rows.arm == arm], views) for arm in arms}
     header = [""]
     for arm in arms:
         header += [arm, f"{arm}, paper"]
@@ -51,11 +52,12 @@ def _beside_the_paper(rows: pd.DataFrame) -> str:
     return markdown.table(header, lines)
 
 
-def _found(rows: pd.DataFrame) -> dict[str, str]:
+def _found(rows: pd.DataFrame, views: list[str]) -> dict[str, str]:
+    """What the study found by what it is called; nothing for a view without rows."""
     pde = rows.pde_mm
     low, high = pde.quantile([0.25, 0.75], interpolation="higher")
     found = {"n": f"{len(rows)}", "PDE before": distance(rows.initial_pde_mm.median()), "PDE": _median(pde)}
-    found |= {f"PDE, {view}": _median(some) for view, some in pde.groupby(rows["view"])}
+    found |= {f"PDE, {view}": _median(pde[rows["view"] == view]) for view in views}
     found |= {"quartiles of PDE": f"{distance(low)} to {distance(high)}", "worst PDE": distance(pde.max())}
     found |= {f"over {limit} mm": f"{(pde > limit).sum()} of {len(pde)}" for limit in (1, 10)}
     return found | {
@@ -84,5 +86,7 @@ def _slopes(rows: pd.DataFrame) -> str:
 
 
 def _median(values: pd.Series) -> str:
+    if values.empty:
+        return ""
     low, high = median_interval(values)
     return f"{distance(values.median())} [{distance(low)}, {distance(high)}]"

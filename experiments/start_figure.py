@@ -19,14 +19,26 @@ _MARKER = ["marker_x_mm", "marker_y_mm"]
 _PANEL_INCHES = 3.2
 
 
+def starts_of(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
+    """One row for each view and seed whose marker is known: none of a CT without it.
+
+    Raises ``RegtorchError`` where ``rows``, the table of ``folder``, have no columns of markers.
+    """
+    places = [*_MARKER, *_CORNERS]
+    if missing := [column for column in places if column not in rows]:
+        raise RegtorchError(f"{folder}: no column {missing[0]!r} in its table, expected it for figure 2")
+    return rows.dropna(subset=places).drop_duplicates(["view", "seed"])
+
+
 def start_figure(rows: pd.DataFrame, folder: Path) -> mpl.figure.Figure:
     """A panel for each view, in mm on the detector; L3 is drawn where it truly is in the median.
 
-    ``folder`` may have a ``background_VIEW.png`` of the whole detector, whose frame is drawn.
+    ``folder`` may have a ``background_VIEW.png`` of the whole detector, whose frame is drawn. Raises ``RegtorchError``
+    where no row knows where its marker is.
     """
-    if missing := [column for column in (*_MARKER, *_CORNERS) if column not in rows]:
-        raise RegtorchError(f"{folder}: no column {missing[0]!r} in its table, expected it for figure 2")
-    starts = rows.drop_duplicates(["view", "seed"])
+    starts = starts_of(rows, folder)
+    if starts.empty:
+        raise RegtorchError(f"{folder}: no row with {_MARKER[0]!r}, expected a CT that has the study's marker")
     reach = np.full(2, _HALF_MM)
     drawn = []
     for view in _VIEWS:

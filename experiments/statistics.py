@@ -36,17 +36,21 @@ def paired(rows: pd.DataFrame, reference: str, keys: list[str], value: str) -> p
     - pairs: how many cases both have
     - ratio: the median ratio of ``value`` to the reference's
     - p: of the Wilcoxon signed-rank test that the logarithm of that ratio is symmetric about 0, two-sided
-    - p_holm: p, corrected for the number of arms by Holm (1979)
+    - p_holm: p, corrected by Holm (1979) for the number of arms that were tested
+
+    All but ``pairs`` are NaN for an arm that shares no case.
     """
     wide = rows.pivot(index=keys, columns="arm", values=value)
     found = []
     for arm in sorted(wide.columns.drop(reference), key=natural):
         both = wide[[reference, arm]].dropna()
         difference = np.log(both[arm]) - np.log(both[reference])
-        p = wilcoxon(difference).pvalue if difference.any() else 1.0
+        alike = 1.0 if len(both) else np.nan
+        p = wilcoxon(difference).pvalue if difference.any() else alike
         found.append({"arm": arm, "pairs": len(both), "ratio": float(np.exp(difference.median())), "p": float(p)})
     table = pd.DataFrame(found, columns=["arm", "pairs", "ratio", "p"]).set_index("arm")
-    return table.assign(p_holm=holm(table.p.to_numpy()))
+    tested = table.p.dropna()
+    return table.assign(p_holm=pd.Series(holm(tested.to_numpy()), tested.index))
 
 
 def holm(p: np.ndarray) -> np.ndarray:

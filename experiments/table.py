@@ -4,13 +4,20 @@ import csv
 import io
 import os
 import socket
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from regtorch.errors import RegtorchError
+
+try:
+    import fcntl
+except ImportError:  # not a Unix
+    fcntl = None
 
 SETTINGS = "settings.yaml"
 
@@ -51,12 +58,38 @@ def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts:
     return own
 
 
-def keep(settings: dict[str, Any], folder: Path) -> None:
-    """Writes ``settings.yaml``, at one stroke: other processes may read and write it at the same time."""
+def keep(config: DictConfig, folder: Path, cases: Iterable[str], parts: Iterable[str] = ()) -> None:
+    """Writes ``settings.yaml``, at one stroke: other processes may read and write it at the same time.
+
+    Raises ``RegtorchError`` where ``refuse_to_mix`` does, also if another process has just written others.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     whole = folder / f".{socket.gethostname()}-{os.getpid()}.yaml"
-    whole.write_text(OmegaConf.to_yaml(OmegaConf.create(settings)))
-    os.replace(whole, folder / SETTINGS)
+    try:
+        whole.write_text(OmegaConf.to_yaml(OmegaConf.create(refuse_to_mix(config, folder, cases, parts))))
+        os.link(whole, folder / SETTINGS)
+    except FileExistsError:
+        whole.write_text(OmegaConf.to_yaml(OmegaConf.create(refuse_to_mix(config, folder, cases, parts))))
+        os.replace(whole, folder / SETTINGS)
+    finally:
+        whole.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(table: Path) -> Iterator[None]:
+    """Keeps other processes from the table, by a lock on a file beside it, where the system has locks.
+
+    Raises ``RegtorchError`` where another process has it.
+    """
+    with table.with_name(f".{table.name}.lock").open("w") as file:
+        try:
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RegtorchError(f"{table}: another process is writing it, expected one at a time") from None
+        except OSError:
+            pass  # a file system without locks
+        yield
 
 
 def done(folder: Path, key: Iterable[str]) -> set[tuple[str, ...]]:
@@ -71,7 +104,10 @@ def whole_lines(table: Path) -> str:
 
 
 def append(table: Path, row: Mapping[str, Any]) -> None:
-    """Adds a row, after the header if it is the first, in place of what a kill left of one."""
+    """Adds a row, after the header if it is the first, in place of what a kill left of one.
+
+    Raises ``RegtorchError`` where the header is of other columns.
+    """
     lines = io.StringIO()
     writer = csv.DictWriter(lines, row)
     with table.open("ab", buffering=0) as file:
@@ -79,8 +115,16 @@ def append(table: Path, row: Mapping[str, Any]) -> None:
         file.truncate(size)
         if not size:
             writer.writeheader()
+        elif (header := _header(table)) != [*row]:
+            was, wanted = next(pair for pair in zip_longest(header, row) if pair[0] != pair[1])
+            raise RegtorchError(f"{table}: column {was!r} where {wanted!r} is expected, or another out=")
         writer.writerow(row)
         file.write(lines.getvalue().encode())
+
+
+def _header(table: Path) -> list[str]:
+    with table.open(newline="", encoding="utf-8") as file:
+        return next(csv.reader(file))
 
 
 def _whole_size(table: Path) -> int:

@@ -128,6 +128,24 @@ def test_the_worst_come_first_with_their_own_pictures(folder):
     assert page.rows[start + 11] != worst[0]
 
 
+def test_pictures_are_of_the_rows_own_arm_ct_view_kind_and_seed(tmp_path):
+    rows = simulation_rows(1, {"hybrid": 9}, ("PA",)).drop(columns="arm").assign(kind="matched")
+    for number, arm in enumerate(("hybrid", "hybrid_bone")):
+        pictures = tmp_path / arm / "failures"
+        pictures.mkdir(parents=True)
+        cts = pd.concat([rows.assign(ct=name) for name in ("ct.nii.gz", "other_ct.nii.gz")])
+        cts.to_csv(tmp_path / arm / "registrations.csv", index=False)
+        Image.new("RGB", (30, 8 + number)).save(pictures / "other_ct_PA_matched_0.png")
+        Image.new("RGB", (30, 6)).save(pictures / "ct_PA_matched_10.png")
+    Image.new("RGB", (30, 5)).save(tmp_path / "hybrid_bone" / "failures" / "ct_PA_matched_0.png")
+
+    def heights(folder: Path) -> list[int]:
+        return sorted(picture.height for picture in _pictures(Page(report(folder))) if picture.width == 30)
+
+    assert heights(tmp_path) == [5, 8, 9]
+    assert heights(tmp_path / "hybrid") == [8]
+
+
 @pytest.mark.parametrize("study", _STUDIES, ids=lambda path: path.name)
 def test_every_study_of_the_project_has_a_report(study):
     page = _check_alone(report(study))
@@ -165,7 +183,7 @@ def _without(path: Path, column: str) -> None:
     [
         (lambda folder: folder.rmdir(), "no such folder, expected one of a study"),
         (lambda folder: None, "no tables of registrations, *.png or table.md, expected a study's folder"),
-        (lambda folder: (folder / "registrations.csv").write_text(""), "registrations.csv: cannot be read"),
+        (lambda folder: (folder / "registrations.csv").write_text(""), "tables without rows, expected registrations"),
         (lambda folder: (folder / "registrations.csv").write_bytes(b"\xff\xfe\n"), "registrations.csv: cannot be"),
         (lambda folder: (folder / "registrations.csv").write_text("a\n1\n"), "no column 'view', expected a table"),
         (lambda folder: _without(folder / "registrations.csv", "pde_mm"), "no column 'pde_mm'"),

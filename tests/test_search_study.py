@@ -60,16 +60,16 @@ def _rows(table: Path) -> list[dict[str, str]]:
 
 def test_rows_are_appended_once_and_a_second_start_does_what_is_missing(ct, tmp_path):
     table = tmp_path / "registrations.csv"
-    search.main(_config(ct, tmp_path))
+    search.run(_config(ct, tmp_path))
     first = table.read_bytes()
     (row,) = _rows(table)
     assert tuple(row) == search.COLUMNS
     assert [row[key] for key in search.KEY] == ["one.nii.gz", "PA", "matched", "0"]
     assert float(row["initial_pde_mm"]) > 20
     assert row["status"] in ("ok", "doubtful", "failed")
-    search.main(_config(ct, tmp_path))
+    search.run(_config(ct, tmp_path))
     assert table.read_bytes() == first
-    search.main(_config(ct, tmp_path, "seeds=2"))
+    search.run(_config(ct, tmp_path, "seeds=2"))
     assert table.read_bytes().startswith(first)
     assert [row["seed"] for row in _rows(table)] == ["0", "1"]
 
@@ -90,6 +90,14 @@ def test_the_start_is_within_what_is_searched_and_the_truth_within_its_range(ct,
     assert torch.equal(again[1], initial)
 
 
+def test_targets_are_those_of_a_folder_that_exists_or_of_none(ct, tmp_path):
+    (tmp_path / "one.csv").write_text("L3,1,2,3\n")
+    assert search.Study(_config(ct, tmp_path, f"targets={tmp_path}")).targets == {"one.nii.gz": {"L3": (1, 2, 3)}}
+    assert search.Study(_config(ct, tmp_path, "targets=null")).targets == {}
+    with pytest.raises(RegtorchError, match=r"targets=.*none: no such folder"):
+        search.Study(_config(ct, tmp_path, f"targets={tmp_path / 'none'}"))
+
+
 def test_shards_share_the_cases_out_and_count_each_others(ct, tmp_path):
     shared = "kinds=[matched,unmoved]", "seeds=3"
     both = [search.table_and_cases(_config(ct, tmp_path, *shared, f"shard={i}/2"))[1] for i in (0, 1)]
@@ -97,27 +105,27 @@ def test_shards_share_the_cases_out_and_count_each_others(ct, tmp_path):
     assert sorted(both[0] + both[1]) == sorted(whole)
     assert all({kind for _, _, kind, _ in own} == {"matched", "unmoved"} for own in both)
     for shard in ("0/2", "1/2"):
-        search.main(_config(ct, tmp_path, "seeds=2", f"shard={shard}"))
+        search.run(_config(ct, tmp_path, "seeds=2", f"shard={shard}"))
     assert [len(_rows(tmp_path / f"registrations-{i}.csv")) for i in (0, 1)] == [1, 1]
-    search.main(_config(ct, tmp_path, "seeds=2"))
+    search.run(_config(ct, tmp_path, "seeds=2"))
     assert not (tmp_path / "registrations.csv").exists()
 
 
 def test_changed_settings_refuse_to_mix_but_kinds_may_be_added(ct, tmp_path):
-    search.main(_config(ct, tmp_path))
+    search.run(_config(ct, tmp_path))
     for name, changed in {
         "dof": "=6",
         "registration": ".poses=50",
         "radiographs.matched": ".threshold_hu=200.0",
     }.items():
         with pytest.raises(RegtorchError, match=re.escape(f"another {name!r}")):
-            search.main(_config(ct, tmp_path, name + changed))
+            search.run(_config(ct, tmp_path, name + changed))
     added = "+radiographs.dense={_target_: regtorch.simulation.simulate, _partial_: true, threshold_hu: 300.0}"
-    search.main(_config(ct, tmp_path, added, "kinds=[dense]"))
-    search.main(_config(ct, tmp_path))
+    search.run(_config(ct, tmp_path, added, "kinds=[dense]"))
+    search.run(_config(ct, tmp_path))
     assert [row["kind"] for row in _rows(tmp_path / "registrations.csv")] == ["matched", "dense"]
     with pytest.raises(RegtorchError, match=re.escape("radiographs.dense")):
-        search.main(_config(ct, tmp_path, added.replace("300.0", "400.0"), "kinds=[dense]"))
+        search.run(_config(ct, tmp_path, added.replace("300.0", "400.0"), "kinds=[dense]"))
 
 
 @pytest.mark.parametrize("wrong", ["kinds=[none]", "decoys=[none]", "shard=2/2", "shard=1", "views=[PA,PA]"])
@@ -139,7 +147,7 @@ def test_what_a_registration_tells_of_itself_is_kept(ct, tmp_path, monkeypatch):
 def test_decoys_have_a_status_but_no_errors(ct, tmp_path):
     two = f"cts=[{ct},{ct.with_name('two.nii.gz')}]"
     decoys = ["patient", "mirrored", "upside_down", "noise"]
-    search.main(_config(ct, tmp_path, two, "kinds=[]", f"decoys=[{','.join(decoys)}]", "decoy_of=matched"))
+    search.run(_config(ct, tmp_path, two, "kinds=[]", f"decoys=[{','.join(decoys)}]", "decoy_of=matched"))
     rows = _rows(tmp_path / "registrations.csv")
     assert [row["kind"] for row in rows] == 2 * [f"decoy_{name}" for name in decoys]
     assert all(row["status"] and row["pde_mm"] == "" and row[f"error_{KEYS[0]}"] == "" for row in rows)
@@ -158,7 +166,7 @@ def test_decoys_are_the_images_that_they_say(ct, tmp_path):
 
 def test_a_failure_leaves_a_small_picture(ct, tmp_path):
     fine = "detector={rows: 300, columns: 260, pixel_mm: 1.2}"
-    search.main(_config(ct, tmp_path, fine, "seeds=3", "pictures=1", pixels=8))
+    search.run(_config(ct, tmp_path, fine, "seeds=3", "pictures=1", pixels=8))
     assert max(float(row["pde_mm"]) for row in _rows(tmp_path / "registrations.csv")) > 5
     (picture,) = (tmp_path / "failures").iterdir()
     assert picture.stat().st_size < 60_000
@@ -193,7 +201,7 @@ def test_figures_need_no_torch_and_say_what_the_tables_hold(tmp_path):
 
 
 def test_figures_do_without_expectations(ct, tmp_path):
-    search.main(_config(ct, tmp_path))
+    search.run(_config(ct, tmp_path))
     table = tmp_path / "registrations.csv"
     rows = pd.read_csv(table).assign(expected_pde_mm=None, within_region=None)
     rows.to_csv(table, index=False)

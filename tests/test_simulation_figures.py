@@ -116,6 +116,30 @@ def test_figure_2_shows_a_background_if_there_is_one(folder, tmp_path):
     assert [len(axes.images) for axes in start_figure(rows, tmp_path).axes] == [1, 0]
 
 
+def test_figure_2_is_of_the_rows_that_know_their_marker(tmp_path):
+    rows = simulation_rows(6, _ARMS)
+    places = list(rows.filter(regex="marker|corner"))
+    rows.loc[rows.seed < 2, places] = np.nan
+    (squares,) = [one for one in start_figure(rows, tmp_path).axes[0].collections if isinstance(one, PolyCollection)]
+    assert len(squares.get_paths()) == 4
+    rows[places] = np.nan
+    rows.to_parquet(tmp_path / "registrations.parquet")
+    simulation_figures.main(tmp_path)
+    assert sorted(path.stem for path in tmp_path.glob("*.png")) == ["coupling", "figure4", "pde"]
+    with pytest.raises(RegtorchError, match="no row with 'marker_x_mm'"):
+        simulation_figures.main(tmp_path, "figure2")
+
+
+def test_arms_may_have_other_views(tmp_path):
+    rows = simulation_rows(5, _ARMS)
+    rows = rows[(rows.arm == "9-DOF") | (rows["view"] == "PA")]
+    rows.to_parquet(tmp_path / "registrations.parquet")
+    simulation_figures.main(tmp_path, "table")
+    found = {line[0]: line[1:] for line in _cells((tmp_path / "table.md").read_text(), "Beside the paper")}
+    assert found["PDE, LAT"][0]
+    assert found["PDE, LAT"][2:] == ["", "0.566"]
+
+
 def test_slopes_leave_out_what_was_not_found():
     rows = simulation_rows(30, {"6-DOF": 6}, ("PA",)).astype({"error_x_s_mm": float})
     rows["pde_mm"] = 0.5
@@ -164,6 +188,17 @@ def test_an_ablation_may_be_of_folders(tmp_path):
     assert "| hybrid_bone | 10 |" in (tmp_path / "table.md").read_text()
 
 
+def test_arms_of_other_views_are_not_compared(tmp_path):
+    views = {"a": "PA", "b": "LAT", "c": "PA"}
+    rows = simulation_rows(9, dict.fromkeys(views, 9))
+    rows[rows["view"] == rows.arm.map(views)].to_parquet(tmp_path / "registrations.parquet")
+    ablation_figures.main(tmp_path)
+    against = {line[0]: line[1:] for line in _cells((tmp_path / "table.md").read_text(), "Against a")[2:]}
+    assert against["b"] == ["0", "", "", ""]
+    assert against["c"][0] == "9"
+    assert against["c"][2] == against["c"][3]
+
+
 def test_an_ablation_needs_two_arms_and_a_reference_of_them(tmp_path):
     simulation_rows(3, {"T=0": 9}).to_parquet(tmp_path / "registrations.parquet")
     with pytest.raises(RegtorchError, match=r"arms \[T=0\], expected two or more"):
@@ -181,6 +216,27 @@ def test_a_table_may_lie_in_shards_that_a_kill_cut_short(tmp_path):
     found = read_rows(tmp_path).sort_values("seed")
     assert found.seed.tolist() == [0, 1, 2, 3]
     assert found.pde_mm.tolist() == pytest.approx(rows.pde_mm.tolist())
+
+
+def test_a_table_may_be_empty(tmp_path):
+    rows = simulation_rows(4, {"a": 9}, ("PA",))
+    for arm in ("a", "b"):
+        (tmp_path / arm).mkdir()
+        (tmp_path / arm / "registrations-0.csv").touch()
+    rows.to_csv(tmp_path / "a" / "registrations-1.csv", index=False)
+    found = read_rows(tmp_path)
+    assert found.seed.tolist() == [0, 1, 2, 3]
+    assert found.pde_mm.dtype == "float64"
+
+
+def test_an_arm_may_be_named_like_a_number_or_a_missing_value(tmp_path):
+    for arm in ("0010", "2", "NA"):
+        (tmp_path / arm).mkdir()
+        simulation_rows(4, {arm: 9}).to_csv(tmp_path / arm / "registrations.csv", index=False)
+    assert set(read_rows(tmp_path).arm) == {"0010", "2", "NA"}
+    ablation_figures.main(tmp_path, "NA")
+    against = [line[0] for line in _cells((tmp_path / "table.md").read_text(), "Against NA")[2:]]
+    assert against == ["2", "0010"]
 
 
 @pytest.mark.parametrize(("arms", "views"), [({"9-DOF": 9}, ("PA",)), ({"6-DOF": 6}, ("LAT", "PA"))])

@@ -52,8 +52,17 @@ def test_arms_are_compared_over_the_cases_that_both_have():
     assert found.p_holm.tolist() == pytest.approx([2 * found.loc["a", "p"], found.loc["c", "p"]])
 
 
-def test_arms_that_are_alike_or_share_no_case_do_not_differ():
-    rows = pd.DataFrame({"arm": list("aabbc"), "seed": [0, 1, 0, 1, 7], "pde_mm": [1.0, 2, 1, 2, 3]})
-    found = paired(rows, "a", ["seed"], "pde_mm")
-    assert found.p.tolist() == [1, 1]
-    assert found.pairs.tolist() == [2, 0]
+def test_arms_that_are_alike_do_not_differ():
+    rows = pd.DataFrame({"arm": list("aabb"), "seed": [0, 1, 0, 1], "pde_mm": [1.0, 2, 1, 2]})
+    assert paired(rows, "a", ["seed"], "pde_mm").loc["b"].tolist() == [2, 1, 1, 1]
+
+
+def test_an_arm_that_shares_no_case_is_not_tested_and_does_not_count():
+    ratios = 1 + np.linspace(0.1, 0.5, 9)
+    arms = {"a": (0, np.ones(9)), "b": (0, ratios), "c": (100, ratios)}
+    parts = [pd.DataFrame({"arm": a, "seed": range(n, n + 9), "pde_mm": v}) for a, (n, v) in arms.items()]
+    found = paired(pd.concat(parts), "a", ["seed"], "pde_mm")
+    assert found.pairs.tolist() == [9, 0]
+    assert found.p_holm["b"] == found.p["b"] < 0.01
+    assert found.loc["c", ["ratio", "p", "p_holm"]].isna().all()
+    assert paired(pd.concat(parts[::2]), "a", ["seed"], "pde_mm").p_holm.isna().all()

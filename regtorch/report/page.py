@@ -78,20 +78,25 @@ def _worst_cases(folder: Path, rows: pd.DataFrame, keys: list[str]) -> str:
         [shown(row[key]) for key in texts] + [distance(row.initial_pde_mm), distance(row.pde_mm)]
         for _, row in some.iterrows()
     ]
-    pictures = [_picture_of(folder, row, keys) for _, row in some.iterrows()]
+    pictures = [_picture_of(folder, row, "arm" in keys) for _, row in some.iterrows()]
     table = html.table([*texts, "PDE before", "PDE"], lines, pictures)
     return table + html.paragraph(_PICTURES) if any(pictures) else table
 
 
-def _picture_of(folder: Path, row: pd.Series, keys: list[str]) -> bytes | None:
-    """The one in ``failures/``, of the folder or of an arm's, whose path has the row's keys and at its end the seed."""
-    words = [shown(row[key]) for key in keys if isinstance(row[key], str)]
-    for path in sorted([*folder.glob("failures/*.png"), *folder.glob("*/failures/*.png")]):
-        name = "_".join(path.relative_to(folder).with_suffix("").parts)
-        seed = name.rpartition("_")[2]
-        if seed.isdecimal() and int(seed) == row.seed and all(f"_{word}_" in f"_{name}_" for word in words):
-            return path.read_bytes()
-    return None
+def _picture_of(folder: Path, row: pd.Series, arms: bool) -> bytes | None:
+    """The one in ``failures/`` named CT_VIEW_KIND_SEED, as far as rows have these: the arm's own, where there are arms.
+
+    The one arm of a study has it in a folder of its name, or, where that is ``folder``, there.
+    """
+    words = [row[key] for key in ("ct", "view", "kind") if isinstance(row.get(key), str)]
+    if "ct" in row:
+        words[0] = words[0].partition(".")[0]
+    name = "_".join([*words, f"{row.seed:.0f}.png"])
+    places = [] if arms else [folder / "failures"]
+    if "arm" in row:
+        places.append(folder / str(row.arm) / "failures")
+    found = (place / name for place in places if (place / name).is_file())
+    return next((path.read_bytes() for path in found), None)
 
 
 def _settings(folder: Path) -> list[str]:

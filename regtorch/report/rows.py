@@ -1,6 +1,7 @@
 """The registrations of a study, whatever files of its folder they lie in."""
 
 import re
+from collections.abc import Mapping
 from io import StringIO
 from pathlib import Path
 
@@ -12,8 +13,12 @@ PARAMETERS = (
     "x_s_mm", "y_s_mm", "z_s_mm", "x_obj_mm", "y_obj_mm", "z_obj_mm", "eta_deg", "theta_deg", "phi_deg",
 )  # fmt: skip
 
-_KEYS = ("arm", "ct", "view", "kind", "dof", "radiograph_threshold_hu")
+_NAMES = ("arm", "ct", "view", "kind")
+_KEYS = (*_NAMES, "dof", "radiograph_threshold_hu")
 """What names a registration in one study or another, besides its seed."""
+
+_PLACES = ("ct", "view", "kind")
+"""What names, besides its seed, the case that a registration is of: registrations of another are not to be compared."""
 
 _MERGED, _TABLES = "registrations.parquet", "registrations*.csv"
 _NUMBERS = ("initial_pde_mm", "pde_mm", "evaluations", "seconds")
@@ -43,16 +48,28 @@ def read_rows(folder: Path) -> pd.DataFrame:
         raise RegtorchError(f"{folder}: no {_MERGED} or {_TABLES}, expected one there or in its folders")
     parts = []
     for arm, paths in tables.items():
-        part = pd.concat([_read(path) for path in paths], ignore_index=True)
+        begun = [some for path in paths if not (some := _read(path)).empty]
+        if not begun:
+            continue
+        part = pd.concat(begun, ignore_index=True)
         if arm and "arm" not in part:
             part["arm"] = arm
         elif arm:  # its own, or one of several in a merged table
             part["arm"] = part.arm.where(part.arm == arm, f"{arm}, " + part.arm)
         parts.append(part.drop_duplicates([*_named(part), "seed"], keep="last"))
-    rows = pd.concat(parts, ignore_index=True)
-    if rows.empty:
+    if not parts:
         raise RegtorchError(f"{folder}: tables without rows, expected registrations")
-    return rows
+    return pd.concat(parts, ignore_index=True)
+
+
+def read_table(text: str, types: Mapping[str, str] | None = None) -> pd.DataFrame:
+    """A table's rows from its CSV; names are texts even where they look like numbers, or like a value that is missing.
+
+    ``types`` are of columns that need one told.
+    """
+    rows = pd.read_csv(StringIO(text), dtype=types)
+    names = pd.read_csv(StringIO(text), usecols=lambda column: column in _NAMES, dtype=str, keep_default_na=False)
+    return rows.assign(**names)
 
 
 def keys_of(rows: pd.DataFrame) -> list[str]:
@@ -61,6 +78,12 @@ def keys_of(rows: pd.DataFrame) -> list[str]:
     if "arm" not in keys:
         return keys
     return [key for key in keys if key == "arm" or rows.groupby("arm")[key].nunique(dropna=False).max() > 1]
+
+
+def cases_of(rows: pd.DataFrame) -> list[str]:
+    """The columns in which registrations of two arms must agree to be compared: the case, and what varies in an arm."""
+    varying = {*keys_of(rows), *(key for key in _PLACES if key in rows and rows[key].nunique(dropna=False) > 1)}
+    return [*(key for key in _named(rows) if key in varying and key != "arm"), "seed"]
 
 
 def groups_of(rows: pd.DataFrame, keys: list[str]) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
@@ -93,12 +116,16 @@ def _tables_in(folder: Path) -> list[Path]:
 
 
 def _read(path: Path) -> pd.DataFrame:
+    """Nothing, not even columns, of a table that a kill left without a header."""
     try:
         if path.suffix == ".parquet":
             rows = pd.read_parquet(path)
         else:
             text = path.read_text(encoding="utf-8")
-            rows = pd.read_csv(StringIO(text[: text.rfind("\n") + 1]))  # the last row may be being written
+            text = text[: text.rfind("\n") + 1]  # the last row may be being written
+            if not text:
+                return pd.DataFrame()
+            rows = read_table(text)
     except (OSError, ValueError) as error:
         raise RegtorchError(f"{path}: cannot be read ({error}), expected a table of registrations") from None
     if missing := [column for column in _KNOWN if column not in rows]:

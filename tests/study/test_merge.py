@@ -40,6 +40,14 @@ def test_arms_and_shards_are_one_sorted_table(tmp_path):
     assert kept.marker_x_mm.isna().all()
 
 
+def test_an_arm_may_have_any_name_and_a_table_no_row_yet(tmp_path):
+    for arm in ("010", "NA"):
+        _write(tmp_path / arm / "registrations-0.csv", arm, range(2))
+        (tmp_path / arm / "registrations-1.csv").touch()
+    assert merge(tmp_path).arm.tolist() == ["010", "010", "NA", "NA"]
+    assert pd.read_parquet(tmp_path / "registrations.parquet").arm.tolist() == ["010", "010", "NA", "NA"]
+
+
 def test_the_same_rows_make_the_same_file(tmp_path):
     _write(tmp_path / "one" / "a" / "registrations.csv", "a", range(4))
     for shard in (1, 0):

@@ -1,6 +1,7 @@
 """Rows of the simulation study: complete, resumed after kills as if nothing had happened, never of mixed settings."""
 
 import csv
+import os
 import random
 import signal
 import subprocess
@@ -12,8 +13,9 @@ import pytest
 import torch
 
 from experiments import simulation_study
+from experiments.checks import CASES
 from experiments.merge import KEY
-from experiments.table import append, done, whole_lines
+from experiments.table import append, done, keep, locked, whole_lines
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, parameters_from_dict
 from regtorch.imaging.volume_files import write_volume
@@ -89,6 +91,16 @@ def test_a_row_cut_short_is_written_anew(tmp_path):
         assert table.read_bytes() == whole
 
 
+def test_a_row_of_other_columns_is_refused(tmp_path):
+    table = tmp_path / "registrations.csv"
+    append(table, {"seed": 0, "view": "PA"})
+    before = table.read_bytes()
+    for row in ({"view": "PA", "seed": 1}, {"seed": 1}, {"seed": 1, "view": "PA", "more": 2}):
+        with pytest.raises(RegtorchError, match=r"registrations\.csv: column .* expected"):
+            append(table, row)
+    assert table.read_bytes() == before
+
+
 def test_changed_settings_refuse_to_mix(settings, tmp_path):
     first = f"out={tmp_path}", "views=[PA]", "seeds=1"
     simulation_study.run(settings(*first))
@@ -97,6 +109,31 @@ def test_changed_settings_refuse_to_mix(settings, tmp_path):
             simulation_study.run(settings(*first, changed))
     simulation_study.run(settings(*first[:2], "seeds=2", "pictures=1", "failed_mm=2"))
     assert len(_read(tmp_path / "9-DOF" / "registrations.csv")) == 2
+
+
+def test_settings_that_another_process_wrote_first_are_not_mixed_with(settings, tmp_path, monkeypatch):
+    link = os.link
+
+    def late(source: Path, target: Path) -> None:
+        target.write_text("dof: 6\n")
+        link(source, target)
+
+    monkeypatch.setattr(os, "link", late)
+    with pytest.raises(RegtorchError, match="made with another"):
+        keep(settings(), tmp_path, CASES)
+    (kept,) = tmp_path.iterdir()
+    assert kept.read_text() == "dof: 6\n"
+
+
+def test_a_second_process_leaves_a_table_alone(run, tmp_path):
+    table = tmp_path / "9-DOF" / "registrations.csv"
+    table.parent.mkdir()
+    with locked(table):
+        second = run(f"out={tmp_path}")
+    assert (second.returncode, table.exists()) == (2, False)
+    assert second.stderr == f"simulation_study: error: {table}: another process is writing it, expected one at a time\n"
+    with locked(table), locked(table.with_name("registrations-0.csv")):
+        pass
 
 
 def test_a_failure_leaves_a_picture(settings, tmp_path):

@@ -45,6 +45,22 @@ def test_a_wrong_setting_is_named(settings, wrong, key):
         check(settings(wrong))
 
 
+def test_a_component_may_have_no_options(settings):
+    config = settings()
+    config.registration = {"_target_": "regtorch.registration.hybrid.hybrid", "_partial_": True}
+    check(config)
+    config.similarity = {"_target_": "regtorch.similarity.normalized_cross_correlation", "_partial_": True}
+    with pytest.raises(RegtorchError, match="expects gradient_correlation"):
+        check(config)
+
+
+def test_any_radiograph_may_be_chosen(settings):
+    assert settings().radiograph.threshold_hu == 100
+    assert settings("radiograph.threshold_hu=50").radiograph.threshold_hu == 50
+    for radiograph in ("simulate", "realistic"):
+        check(settings(f"radiograph={radiograph}"))
+
+
 def test_files_are_looked_for(settings, tmp_path):
     with pytest.raises(RegtorchError, match=r"^data\.path: nothing given, expected a value"):
         check(settings("data=ct"))
