@@ -58,8 +58,8 @@ def run(config: DictConfig) -> None:
     numba.set_num_threads(config.threads)
     table, own = table_and_cases(config)
     folder = Path(config.out)
-    keep(config, folder, _CASES, parts=("radiographs", "images"))
     study = Study(config)
+    keep(config, folder, _CASES, parts=("radiographs", "images"))
     with locked(folder / table), tqdm(own, unit="registration", mininterval=1) as bar:
         made = done(folder, KEY)
         for case in bar:
