@@ -4,6 +4,7 @@ import csv
 import os
 import random
 import signal
+import statistics
 import subprocess
 import time
 from pathlib import Path
@@ -53,8 +54,10 @@ def test_a_row_tells_all(settings, tmp_path):
 
 
 def test_nine_degrees_of_freedom_find_the_place(undisturbed):
+    """On few pixels of several millimetres, with few poses."""
     pde = [float(row[simulation_study.COLUMNS.index("pde_mm")]) for row in undisturbed]
-    assert max(pde) < 1
+    assert statistics.median(pde) < 0.1
+    assert max(pde) < 5
 
 
 def test_kills_at_any_moment_leave_the_table_of_an_undisturbed_run(command, undisturbed, rows, tmp_path):

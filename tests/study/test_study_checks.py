@@ -45,8 +45,8 @@ def test_a_wrong_setting_is_named(settings, wrong, key):
         check(settings(wrong))
 
 
-def test_a_component_may_have_no_options(settings):
-    config = settings()
+def test_a_component_may_have_no_options(settings, tmp_path):
+    config = settings(f"out={tmp_path}")
     config.registration = {"_target_": "regtorch.registration.hybrid.hybrid", "_partial_": True}
     check(config)
     config.similarity = {"_target_": "regtorch.similarity.normalized_cross_correlation", "_partial_": True}
@@ -54,11 +54,11 @@ def test_a_component_may_have_no_options(settings):
         check(config)
 
 
-def test_any_radiograph_may_be_chosen(settings):
+def test_any_radiograph_may_be_chosen(settings, tmp_path):
     assert settings().radiograph.threshold_hu == 100
     assert settings("radiograph.threshold_hu=50").radiograph.threshold_hu == 50
     for radiograph in ("simulate", "realistic"):
-        check(settings(f"radiograph={radiograph}"))
+        check(settings(f"radiograph={radiograph}", f"out={tmp_path}"))
 
 
 def test_files_are_looked_for(settings, tmp_path):
