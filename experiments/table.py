@@ -68,7 +68,7 @@ def keep(config: DictConfig, folder: Path, cases: Iterable[str], parts: Iterable
     try:
         whole.write_text(OmegaConf.to_yaml(OmegaConf.create(refuse_to_mix(config, folder, cases, parts))))
         os.link(whole, folder / SETTINGS)
-    except FileExistsError:
+    except OSError:  # another process was first, or the file system has no links
         whole.write_text(OmegaConf.to_yaml(OmegaConf.create(refuse_to_mix(config, folder, cases, parts))))
         os.replace(whole, folder / SETTINGS)
     finally:

@@ -9,6 +9,18 @@ from jaxtyping import install_import_hook
 install_import_hook("regtorch", "beartype.beartype")
 
 
+@pytest.fixture
+def threads_kept():
+    """For what sets the number of threads, as studies do."""
+    import numba
+    import torch
+
+    before = torch.get_num_threads(), numba.get_num_threads()
+    yield
+    torch.set_num_threads(before[0])
+    numba.set_num_threads(before[1])
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder of real scans; a test that needs it is skipped where there is none."""

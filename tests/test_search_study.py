@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numba
 import pandas as pd
 import pytest
 import torch
@@ -37,12 +36,7 @@ def ct(tmp_path_factory) -> Path:
     return path
 
 
-@pytest.fixture(autouse=True)
-def _threads():
-    before = torch.get_num_threads(), numba.get_num_threads()
-    yield
-    torch.set_num_threads(before[0])
-    numba.set_num_threads(before[1])
+pytestmark = pytest.mark.usefixtures("threads_kept")
 
 
 def _config(ct: Path, out: Path, *overrides: str, pixels: int = 40) -> DictConfig:

@@ -110,9 +110,8 @@ def hybrid(
         """Where climbs by bone end, and bone's and all tissue's similarity together, best first."""
         climbed = by_bone.climb(places, steps)
         ends = problem.embed(climbed.x)
-        together = sum([levels[1].similarity(ends) for levels in pyramids[1:]], climbed.similarity) / len(pyramids)
-        order = together.argsort(descending=True)
-        return ends[order], together[order]
+        together = sum([levels[1].similarity(ends) for levels in pyramids[1:]], climbed.similarity)
+        return _best_first(ends, together / len(pyramids))
 
     starts, edges = None, torch.inf
     for number, stage in enumerate(stages):
@@ -122,9 +121,7 @@ def hybrid(
         if not number and not convincing(problem, parameters, together):
             more = more_candidates(problem, pyramids[better][0], screening, _MORE * poses, first, stage.candidates)
             both = zip((parameters, together), ranked(by_bone, more, stage.steps), strict=True)
-            parameters, together = (torch.cat(pair) for pair in both)
-            order = together.argsort(descending=True)
-            parameters, together = parameters[order], together[order]
+            parameters, together = _best_first(*(torch.cat(pair) for pair in both))
         starts = (parameters, together) if starts is None else starts
         edges = best_edges_px(by_bone, parameters[0])
         by_bone = by_bone.with_edges(edges)
@@ -151,6 +148,11 @@ def hybrid(
         weak_similarity=0.0 if alike else _WEAK,
         mirrored_similarity=_mirrored_similarity(problem, pyramids, (first, stages[0]), starts[0][0]),
     )
+
+
+def _best_first(places: Float[Tensor, "n 9"], similarity: Float[Tensor, " n"]) -> tuple[Tensor, Tensor]:
+    order = similarity.argsort(descending=True)
+    return places[order], similarity[order]
 
 
 def _mirrored_similarity(

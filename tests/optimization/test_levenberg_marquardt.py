@@ -55,6 +55,24 @@ def test_limits_hold_and_the_rest_is_still_sought():
     assert float(found.similarity) > best - 1e-6
 
 
+def test_a_step_that_a_limit_cuts_off_is_no_sign_of_an_end():
+    """The first step wants far beyond the limit, and gains next to nothing on the way to it."""
+    upper = torch.tensor([1.0 + 1e-9, 1.0], dtype=torch.float64)
+
+    def equations(points):
+        far, near = points[:, 0] - 3, points[:, 1] - 0.4
+        similarity = 0.9 - far.square() / 1000 - near.square()
+        coupled = torch.tensor([[1e-3, -0.0], [-0.0, 1.0]], dtype=torch.float64).expand(len(points), 2, 2)
+        slow = torch.where(points[:, 0] < upper[0], 1e-6, 1.0).double()  # held back until the limit is met
+        return similarity, coupled, torch.stack([far / 1000, near * slow], dim=1)
+
+    start = torch.tensor([[1.0, 0.2]], dtype=torch.float64)
+    found = levenberg_marquardt(
+        equations, start, lower=LOWER, upper=upper, scale=torch.ones(2).double(), steps=40, tolerance=1e-12
+    )
+    assert abs(float(found.x[0, 1]) - 0.4) < 0.01
+
+
 def test_similarity_never_falls_and_evaluations_are_counted():
     start = torch.tensor([[-9.0, -0.9], [9.5, 0.9], [3.5, 0.3]], dtype=torch.float64)
     before = _equations(0.3)(start)[0]

@@ -77,6 +77,15 @@ def test_bone_no_denser_than_the_threshold_is_found(pair):
     assert _pde_mm(pair, found.parameters) < 1
 
 
+def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
+    """One candidate cannot be confirmed by another."""
+    method = partial(SMALL, poses=40, stages=(Stage(60, 1, 12), Stage(80, 1, 10)))
+    settings = {"initial": pair.initial, "half_range": HALF_RANGE}
+    lonely = register(pair.ct, pair.radiograph, "PA", method=method, **settings)
+    assert len(lonely.starts) == 2
+    assert lonely.evaluations > 5 * 40
+
+
 def test_a_mirrored_radiograph_is_recognised(pair):
     mirrored = Radiograph.from_image(pair.radiograph.image.flip(1), DETECTOR)
     settings = {"method": SMALL, "initial": pair.initial, "half_range": HALF_RANGE}

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from regtorch.registration.problem import Found
-from regtorch.registration.verdict import judge, warnings
+from regtorch.registration.verdict import convincing, judge, warnings
 
 ALL, PATIENT = list(range(9)), [3, 4, 5, 6, 7, 8]
 
@@ -101,3 +101,19 @@ def test_a_single_start_is_doubtful_as_nothing_confirms_it(pair):
     status, message = judge(pair.problem(ALL), _found(pair, [40], [0.5]))
     assert status == "doubtful"
     assert "the only start" in message
+
+
+@pytest.mark.parametrize(
+    ("starts_at", "similarity", "enough"),
+    [
+        ([0, 5, 100], [0.6, 0.5, 0.4], True),
+        ([0, 100, 200], [0.6, 0.4, 0.3], False),
+        ([0, 5, 100], [0.6, 0.5, 0.58], False),
+        ([0, 5], [0.6, 0.5], True),
+    ],
+    ids=["two agree", "found once", "rival", "all agree"],
+)
+def test_starts_convince_where_two_agree_and_no_other_place_is_as_good(pair, starts_at, similarity, enough):
+    found = _found(pair, starts_at, similarity)
+    order = found.start_similarity.argsort(descending=True)
+    assert convincing(pair.problem(ALL), found.starts[order], found.start_similarity[order]) is enough

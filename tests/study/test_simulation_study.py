@@ -9,9 +9,7 @@ import subprocess
 import time
 from pathlib import Path
 
-import numba
 import pytest
-import torch
 
 from experiments import simulation_study
 from experiments.checks import CASES
@@ -25,12 +23,7 @@ from regtorch.phantom import make_phantom
 ROOT = Path(__file__).parent.parent.parent
 
 
-@pytest.fixture(autouse=True)
-def _threads():
-    before = torch.get_num_threads(), numba.get_num_threads()
-    yield
-    torch.set_num_threads(before[0])
-    numba.set_num_threads(before[1])
+pytestmark = pytest.mark.usefixtures("threads_kept")
 
 
 def _read(table: Path) -> list[dict[str, str]]:
