@@ -109,7 +109,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="HU",
         help="below, the CT counts as air (%(default)g)",
     )
-    add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} to show in overlay.png")
+    add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} to show in overlay.png and tell the error to expect at")
     _add_seed_and_threads(add)
 
     add = _command(commands, "evaluate", "compare a result with the truth")
