@@ -36,7 +36,7 @@ def attenuation(
     data = volume.data.mul(mu_water_per_mm / -AIR_HU).add_(mu_water_per_mm).clamp_(min=0)
     if threshold_hu is not None:
         data.masked_fill_(volume.data < threshold_hu, 0)
-    if not bool(data.any()):
+    if float(data.amax()) == 0:
         raise _nothing_attenuates(volume, threshold_hu)
     return volume.with_data(data, unit="per_mm")
 

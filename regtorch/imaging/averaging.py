@@ -23,8 +23,10 @@ def overlaps(old: int, new: int, ratio: float) -> Float[Tensor, "new old"]:
     return shared.clamp(min=0) / ratio
 
 
-def coarsen(volume: Volume, spacing_mm: float) -> Volume:
+def coarsen(volume: Volume, spacing_mm: float, *, least_ratio: float = 1.0) -> Volume:
     """Averages onto voxels of ``spacing_mm`` along each axis that is finer, about the same centre; linear along these.
+
+    An axis whose voxels would not become more than ``least_ratio`` times as large stays as it is.
 
     The count is rounded up, with air around the volume, so that its mass is kept and nothing at its border is lost.
     """
@@ -35,7 +37,7 @@ def coarsen(volume: Volume, spacing_mm: float) -> Volume:
     # Slices first: that pass is a plain weighted sum and leaves least for the two matrix products.
     for axis, old_mm in zip((-3, -2, -1), volume.spacing_mm.flip(0).tolist(), strict=True):
         ratio, old = spacing_mm / old_mm, data.shape[axis]
-        if ratio <= 1 + 1e-9:
+        if ratio <= least_ratio + 1e-9:
             continue
         new = math.ceil(old / ratio - 1e-9)
         data = _average(data, axis, overlaps(old, new, ratio).to(data))

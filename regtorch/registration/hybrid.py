@@ -15,7 +15,7 @@ from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
-from regtorch.registration.refinement import along_the_flat, best_edges_px, finished, refined
+from regtorch.registration.refinement import along_the_flat, finished, forgiving_with_edges, refined
 from regtorch.registration.screening import Candidates, screen
 from regtorch.registration.verdict import convincing
 from regtorch.similarity import gradient_correlation
@@ -117,18 +117,24 @@ def hybrid(
     for number, stage in enumerate(stages):
         problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
         by_bone = pyramids[0][number + 1].with_edges(edges)
-        parameters, together = ranked(by_bone, parameters[: stage.candidates], stage.steps)
-        if not number and not convincing(problem, parameters, together):
-            more = more_candidates(problem, pyramids[better][0], screening, _MORE * poses, first, stage.candidates)
-            both = zip((parameters, together), ranked(by_bone, more, stage.steps), strict=True)
-            parameters, together = _best_first(*(torch.cat(pair) for pair in both))
-        starts = (parameters, together) if starts is None else starts
-        edges = best_edges_px(by_bone, parameters[0])
-        by_bone = by_bone.with_edges(edges)
-        best = parameters[0] if number else along_the_flat(by_bone, parameters[0], stage.steps)
-        end = refined(by_bone, best, stage.steps)
+        if starts is None:
+            parameters, together = ranked(by_bone, parameters[: stage.candidates], stage.steps)
+            if not (sure := convincing(problem, parameters, together)):
+                more = more_candidates(problem, pyramids[better][0], screening, _MORE * poses, first, stage.candidates)
+                both = zip((parameters, together), ranked(by_bone, more, stage.steps), strict=True)
+                parameters, together = _best_first(*(torch.cat(pair) for pair in both))
+                sure = convincing(problem, parameters, together)
+            starts = (parameters, together)
+        elif len(parameters) > 1:
+            parameters, _ = ranked(by_bone, parameters[: stage.candidates], stage.steps)
+        best = parameters[0]
+        forgiving, edges = forgiving_with_edges(by_bone, best)
+        if not number:
+            best = along_the_flat(forgiving, best, stage.steps)
+            forgiving = by_bone.with_edges(edges).forgiving(best)
+        end = refined(forgiving, best, stage.steps)
         best = end.parameters
-        rest = distinct(problem, parameters, PLACE_MM, len(parameters))[1:]
+        rest = [] if sure else distinct(problem, parameters, PLACE_MM, len(parameters))[1:]
         parameters = torch.cat([best[None], parameters[rest]])
     problem.progress(0.8, f"{finest.pixels} pixels")
     widths = edges_px if end.similarity > trusted_similarity else edges_px[-1:]

@@ -32,19 +32,18 @@ class Answer(NamedTuple):
     covariance: Float[Tensor, "9 9"]
 
 
-def refined(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> End:
-    """Where a climb ends that forgives what its beginning does not explain."""
-    forgiving = matcher.forgiving(parameters)
+def refined(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: int) -> End:
+    """Where a climb ends from there."""
     climbed = forgiving.climb(parameters[None], steps, _NEAR)
-    return End(matcher.problem.embed(climbed.x[0]), float(climbed.similarity[0]), forgiving)
+    return End(forgiving.problem.embed(climbed.x[0]), float(climbed.similarity[0]), forgiving)
 
 
-def along_the_flat(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:
+def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:
     """The best end of climbs from this one's end and from places to both sides along the flattest directions.
 
     Source and patient together can move far along the beam and change little: a valley with more than one bottom.
     """
-    problem, forgiving = matcher.problem, matcher.forgiving(parameters)
+    problem = forgiving.problem
     climbed = forgiving.climb(parameters[None], steps, _NEAR)
     scale = 1 / problem.sensitivity().clamp(1e-3, 1e6)
     values, axes = torch.linalg.eigh(climbed.jtj[0] * scale[:, None] * scale)
@@ -58,22 +57,26 @@ def along_the_flat(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int)
     return problem.embed(ends.x[ends.similarity.argmax()])
 
 
-def best_edges_px(matcher: Matcher, parameters: Float[Tensor, "9"]) -> float:
-    """How wide voxels' edges look in the radiograph: as wide as voxels, or a pixel, whichever is more similar here."""
+def forgiving_with_edges(matcher: Matcher, parameters: Float[Tensor, "9"]) -> tuple[Matcher, float]:
+    """What forgives what these parameters do not explain, and how wide it sees edges of voxels.
+
+    As wide as voxels (infinity), or a pixel, whichever is more similar here.
+    """
     linear = matcher.with_edges(torch.inf).forgiving(parameters)
     constant = linear.with_edges(1.0)
-    return (
-        1.0
-        if float((constant.similarity(parameters[None]) - linear.similarity(parameters[None]))[0]) > 0
-        else torch.inf
-    )
+    if float((constant.similarity(parameters[None]) - linear.similarity(parameters[None]))[0]) > 0:
+        return matcher.with_edges(1.0).forgiving(parameters), 1.0
+    return linear, torch.inf
 
 
 def finished(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int, edges_px: Sequence[float]) -> Answer:
     """Refined on the finest level: linear, or with sharper and sharper edges."""
-    constant = best_edges_px(matcher, parameters) < torch.inf
-    for width in edges_px:
-        end = refined(matcher.with_edges(width if constant else torch.inf), parameters, steps)
-        parameters = end.parameters
-    plain = float(replace(end.matcher, gradients=matcher.gradients).similarity(parameters[None])[0])
-    return Answer(parameters, end.similarity, plain, covariance(end.matcher, parameters))
+    forgiving, edges = forgiving_with_edges(matcher, parameters)
+    if edges == torch.inf:
+        end = refined(forgiving, parameters, steps)
+    else:
+        for width in edges_px:
+            end = refined(matcher.with_edges(width).forgiving(parameters), parameters, steps)
+            parameters = end.parameters
+    plain = float(replace(end.matcher, gradients=matcher.gradients).similarity(end.parameters[None])[0])
+    return Answer(end.parameters, end.similarity, plain, covariance(end.matcher, end.parameters))

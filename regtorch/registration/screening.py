@@ -1,11 +1,13 @@
 """Poses drawn over the whole range, each at all in-plane shifts at once: where a search should begin."""
 
 import math
+from functools import reduce
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn.functional import pad
 from torch.quasirandom import SobolEngine
 
 from regtorch.drr import render
@@ -130,13 +132,21 @@ def _in_range(
 
 
 def _peaks(score: Float[Tensor, "n r c"], peaks: int) -> tuple[Float[Tensor, "n k"], Tensor]:
-    """Values and (row, column) of the highest local maxima."""
-    down = torch.nn.functional.max_pool2d(score[:, None], (5, 1), stride=1, padding=(2, 0))
-    highest = torch.nn.functional.max_pool2d(down, (1, 5), stride=1, padding=(0, 2))[:, 0]
-    at_peak = torch.where(score >= highest, score, -torch.inf).flatten(1)
-    value, index = at_peak.topk(min(peaks, at_peak.shape[1]), dim=1)
-    columns = score.shape[2]
-    return value.double().nan_to_num(nan=-1, neginf=-1), torch.stack([index // columns, index % columns], dim=-1)
+    """Values and (row, column) of the highest blocks of 3 x 3 that none of the eight beside them exceeds."""
+    rows, columns = score.shape[1:]
+    score = pad(score, (0, -columns % 3, 0, -rows % 3), value=-torch.inf)
+    in_block = torch.cartesian_prod(torch.arange(3), torch.arange(3))
+    block = reduce(torch.maximum, (score[:, i::3, j::3] for i, j in in_block.tolist()))
+    down, across = block.shape[1:]
+    around = pad(block, (1, 1, 1, 1), value=-torch.inf)
+    highest = reduce(torch.maximum, (around[:, i : i + down, j : j + across] for i, j in in_block.tolist()))
+    at_peak = torch.where(block >= highest, block, -torch.inf).flatten(1)
+    value, of_block = at_peak.topk(min(peaks, at_peak.shape[1]), dim=1)
+    pixels = 3 * torch.stack([of_block // across, of_block % across], dim=-1)[:, :, None] + in_block
+    pose = torch.arange(len(score))[:, None, None]
+    highest_pixel = score[pose, pixels[..., 0], pixels[..., 1]].argmax(2)[..., None, None]
+    at = pixels.gather(2, highest_pixel.expand(-1, -1, 1, 2))[:, :, 0]
+    return value.double().nan_to_num(nan=-1, neginf=-1), at
 
 
 def _shifted(
