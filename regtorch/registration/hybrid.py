@@ -26,7 +26,7 @@ patient's, mirrored ones and those upside down, but for some that had a rival or
 _LEAST_TISSUE = 3.0
 """All tissue of a CT in which soft tissue surrounds the bones, over what bone attenuates of it: from 3 on. Around dry
 bones there are but voxels that they fill in part; torsos have nine times as much."""
-_MORE = 4
+_MORE = 8
 """How many times as many poses are screened where the first do not convince."""
 _AS_THEY_ARE = 1e-3
 """Voxels per pixel for a volume that is coarse already."""
@@ -37,7 +37,7 @@ _FIRST, _STAGES, _FINEST = Stage(50, 40, 12), (Stage(125, 12, 12), Stage(250, 3,
 def hybrid(
     problem: Problem,
     *,
-    poses: int = 500,
+    poses: int = 250,
     first: Stage = _FIRST,
     stages: Sequence[Stage] = _STAGES,
     finest: Stage = _FINEST,
@@ -53,10 +53,10 @@ def hybrid(
 
     A quarter of the draws are screened for either tissue, the others for the one that explained more. The best
     candidates climb on the ``first`` level with their tissue, the better half of them all the way; those that go on are
-    the best ones, but at most three of a place, and a quarter of them the other tissue's. From there on all climb with
-    bone alone, fewer on each level, and the mean of bone's similarity and, on the second level, that of all tissue
-    ranks them. Where no two of the second level's climbs agree on the best place, or another is nearly as good, four
-    times as many poses are screened besides. ``Found.starts`` are the ends of the second level's climbs, by that mean.
+    the best ones, but at most three of a place, and a quarter of them the other tissue's. On the second level all climb
+    with bone alone, and the mean of bone's similarity and that of all tissue ranks them: ``Found.starts``. Where no two
+    of them agree on the best place, or another is nearly as good, eight times as many poses are screened besides. The
+    best goes on, and where it still does not convince a few others with it, fewer on each level.
     On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is marked down
     (``explained_weight``); on the second also from places beside it, along the flattest directions.
 

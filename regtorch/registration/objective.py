@@ -42,7 +42,7 @@ class Level:
         magnification: float,
         voxel_per_pixel: float,
     ) -> "Level":
-        """At most ``longest`` pixels a side; voxels of about ``voxel_per_pixel`` times a pixel's size in the patient."""
+        """At most ``longest`` pixels a side; voxels of about ``voxel_per_pixel`` times a pixel in the patient."""
         fixed = level(radiograph, longest)
         voxel_mm = voxel_per_pixel * fixed.detector.pixel_mm / magnification
         volume = coarsen(attenuating, voxel_mm, least_ratio=_WORTH_AVERAGING)

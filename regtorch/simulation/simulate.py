@@ -14,7 +14,7 @@ from regtorch.drr import render
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, parameters_to_dict, pixel_from_patient, project, world_from_ct
 from regtorch.imaging import BONE_HU, Volume, attenuation
-from regtorch.imaging.attenuation import BODY_HU, corners_ct
+from regtorch.imaging.attenuation import BODY_HU, corners_ct, crop_to_anatomy
 from regtorch.imaging.points import spread_points
 from regtorch.simulation.noise import add_quantum_noise
 
@@ -105,7 +105,8 @@ def simulate(
     if detector.centre_mm != (0.0, 0.0):
         raise RegtorchError(f"detector centred on {detector.centre_mm} mm, expected a whole one, on (0, 0)")
     named = dict(targets) if targets else bone_points(ct)
-    image = render(attenuation(ct, threshold_hu=threshold_hu), parameters, detector, view, method="siddon")
+    attenuating = attenuation(crop_to_anatomy(ct, threshold_hu=threshold_hu), threshold_hu=threshold_hu)
+    image = render(attenuating, parameters, detector, view, method="siddon")
     if photons is not None:
         image = add_quantum_noise(image, photons, torch.Generator().manual_seed(seed))
     matrix = pixel_from_patient(parameters, detector, view, ct.origin_patient_mm)

@@ -41,12 +41,13 @@ def siddon(data, spacing, ray, row, column, value, slopes, adjoint, weight):
     if enter >= leave:
         return
     length = math.sqrt(squared)
-    at, step, due = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3)
+    at, step, due, inverse = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3), np.empty(3)
     for axis in range(3):
         start = ray[axis] + enter * d[axis]
         at[axis] = min(max(math.floor(start + 0.5), 0), size[axis] - 1)
         step[axis] = 1 if d[axis] > 0 else -1
-        due[axis] = (at[axis] + 0.5 * step[axis] - ray[axis]) / d[axis] if d[axis] != 0 else np.inf
+        inverse[axis] = 1 / d[axis] if d[axis] != 0 else np.inf
+        due[axis] = (at[axis] + 0.5 * step[axis] - ray[axis]) * inverse[axis] if d[axis] != 0 else np.inf
     if slopes is not None and entered >= 0:
         _cross(slopes, data, at, entered, enter, d, -1.0)
     t = enter
@@ -72,7 +73,7 @@ def siddon(data, spacing, ray, row, column, value, slopes, adjoint, weight):
             break
         if slopes is not None:
             _cross(slopes, data, at, axis, due[axis], d, -1.0)
-        due[axis] = (at[axis] + 0.5 * step[axis] - ray[axis]) / d[axis]
+        due[axis] = (at[axis] + 0.5 * step[axis] - ray[axis]) * inverse[axis]
     for c in range(channels):
         if slopes is not None:
             for axis in range(3):
