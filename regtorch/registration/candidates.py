@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.optimization.cma_es import cma_es
 from regtorch.registration.matcher import Matcher
 from regtorch.registration.problem import Problem
 from regtorch.registration.screening import Candidates
@@ -17,6 +18,9 @@ PLACE_MM = 10.0
 
 _FIRST_LOOK = 0.25
 """The share of the poses that either tissue is screened with; the one that explains more gets the others as well."""
+
+_SPREAD = 1e-4
+"""Of similarity over recent generations, below which CMA-ES has converged."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,23 @@ def more_candidates(
     """As many again of one tissue, from other poses."""
     problem.progress(0.4, f"screening {poses} poses more")
     return _climbed(problem, tissue, screening, poses, stage, most, (3 * problem.seed + 3) % 2**32).parameters
+
+
+def evolved(problem: Problem, tissue: Matcher, places: Float[Tensor, "n 9"], generations: int) -> Float[Tensor, "n 9"]:
+    """Where CMA-ES ends that begins there a pixel wide, and needs no slope: for basins that are rough."""
+    problem.progress(0.5, f"CMA-ES from {len(places)} places")
+    sigma = tissue.level.fixed.detector.pixel_mm / problem.sensitivity().clamp(1e-3, 1e6)
+    found = cma_es(
+        lambda values: -tissue.similarity(problem.embed(values)),
+        places[:, problem.free].clamp(problem.lower, problem.upper),
+        torch.minimum(sigma, (problem.upper - problem.lower) / 4),
+        lower=problem.lower,
+        upper=problem.upper,
+        max_generations=generations,
+        tol_fun=_SPREAD,
+        seed=problem.seed,
+    )
+    return problem.embed(found.x)
 
 
 def _climbed(

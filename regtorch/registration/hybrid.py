@@ -12,7 +12,7 @@ from torch import Tensor
 from regtorch.errors import RegtorchError
 from regtorch.imaging import Volume, bone_contrast
 from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
-from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, more_candidates
+from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
 from regtorch.registration.refinement import along_the_flat, finished, forgiving_with_edges, refined
@@ -28,6 +28,8 @@ _LEAST_TISSUE = 3.0
 bones there are but voxels that they fill in part; torsos have nine times as much."""
 _MORE = 8
 """How many times as many poses are screened where the first do not convince."""
+_GENERATIONS = 60
+"""Of CMA-ES on the first level, where neither do these."""
 _AS_THEY_ARE = 1e-3
 """Voxels per pixel for a volume that is coarse already."""
 
@@ -106,27 +108,44 @@ def hybrid(
     if bone is not alone and not better:
         bone, pyramids[0] = alone, pyramid(alone, (first, *stages))
 
-    def ranked(by_bone: Matcher, places: Float[Tensor, "n 9"], steps: int) -> tuple[Tensor, Tensor]:
-        """Where climbs by bone end, and bone's and all tissue's similarity together, best first."""
-        climbed = by_bone.climb(places, steps)
-        ends = problem.embed(climbed.x)
-        together = sum([levels[1].similarity(ends) for levels in pyramids[1:]], climbed.similarity)
-        return _best_first(ends, together / len(pyramids))
+    wide = pyramids[better][0]
 
-    starts, edges = None, torch.inf
+    def climbed(by_bone: Matcher, places: Float[Tensor, "n 9"], steps: int) -> tuple[Tensor, Tensor]:
+        """Where climbs by bone end, and bone's and all tissue's similarity together."""
+        ascent = by_bone.climb(places, steps)
+        ends = problem.embed(ascent.x)
+        together = sum([levels[1].similarity(ends) for levels in pyramids[1:]], ascent.similarity)
+        return ends, together / len(pyramids)
+
+    def ranked(by_bone: Matcher, places: Float[Tensor, "n 9"], stage: Stage) -> tuple[Tensor, Tensor]:
+        return _best_first(*climbed(by_bone, places[: stage.candidates], stage.steps))
+
+    def convinced(by_bone: Matcher, places: Float[Tensor, "n 9"], stage: Stage) -> tuple[Tensor, Tensor]:
+        """Ranked; where that does not convince more poses are looked at, then CMA-ES tries from the best places."""
+        places, together = ranked(by_bone, places, stage)
+        if convincing(problem, places, together):
+            return places, together
+        more = more_candidates(problem, wide, screening, _MORE * poses, first, stage.candidates)
+        both = zip((places, together), climbed(by_bone, more, stage.steps), strict=True)
+        places, together = _best_first(*(torch.cat(pair) for pair in both))
+        if convincing(problem, places, together):
+            return places, together
+        apart = distinct(problem, places, PLACE_MM, stage.candidates)
+        ends, reached = climbed(by_bone, evolved(problem, wide, places[apart], _GENERATIONS), stage.steps)
+        higher = reached > together[apart]  # an end stands for its start, and confirms nothing by itself
+        places[apart] = torch.where(higher[:, None], ends, places[apart])
+        together[apart] = torch.maximum(reached, together[apart])
+        return _best_first(places, together)
+
+    edges = torch.inf
     for number, stage in enumerate(stages):
         problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
         by_bone = pyramids[0][number + 1].with_edges(edges)
-        if starts is None:
-            parameters, together = ranked(by_bone, parameters[: stage.candidates], stage.steps)
-            if not (sure := convincing(problem, parameters, together)):
-                more = more_candidates(problem, pyramids[better][0], screening, _MORE * poses, first, stage.candidates)
-                both = zip((parameters, together), ranked(by_bone, more, stage.steps), strict=True)
-                parameters, together = _best_first(*(torch.cat(pair) for pair in both))
-                sure = convincing(problem, parameters, together)
-            starts = (parameters, together)
+        if not number:
+            parameters, together = starts = convinced(by_bone, parameters, stage)
+            sure = convincing(problem, parameters, together)
         elif len(parameters) > 1:
-            parameters, _ = ranked(by_bone, parameters[: stage.candidates], stage.steps)
+            parameters, _ = ranked(by_bone, parameters, stage)
         best = parameters[0]
         forgiving, edges = forgiving_with_edges(by_bone, best)
         if not number:

@@ -1,6 +1,7 @@
 """Screening finds shifts; the hybrid search finds the truth from far away, any subset of parameters, the same twice."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -11,7 +12,9 @@ from regtorch.geometry import pixel_from_patient
 from regtorch.imaging import Radiograph
 from regtorch.optimization.evolve import evolve
 from regtorch.registration import register
+from regtorch.registration.candidates import evolved
 from regtorch.registration.hybrid import Stage, hybrid
+from regtorch.registration.matcher import Matcher, Tally
 from regtorch.registration.screening import screen, screen_one_by_one
 from regtorch.simulation import simulate
 
@@ -84,6 +87,27 @@ def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
     lonely = register(pair.ct, pair.radiograph, "PA", method=method, **settings)
     assert len(lonely.starts) == 2
     assert lonely.evaluations > 5 * 40
+
+
+def test_the_rescue_climbs_without_slopes(pair):
+    """From 40 mm off, among places that lie wrong: each start ends as its own place, none below where it began."""
+    problem = pair.problem(list(range(9)), initial=pair.truth.parameters, half_range=HALF_RANGE)
+    matcher = Matcher.of(problem, 40, 1.3, problem.attenuating, Tally())
+    places = pair.truth.parameters + torch.stack([FAR / 4, FAR])
+    ends = evolved(problem, matcher, places, 60)
+    assert bool((matcher.similarity(ends) > matcher.similarity(places)).all())
+    assert _pde_mm(pair, ends[0]) < 2 < 20 < _pde_mm(pair, places[0])
+    assert matcher.tally.evaluations > 1000
+    frozen = pair.problem([3, 4], initial=pair.truth.parameters, half_range=HALF_RANGE)
+    moved = evolved(frozen, replace(matcher, problem=frozen), places, 5)[0] != pair.truth.parameters
+    assert moved.nonzero().flatten().tolist() == [3, 4]
+
+
+def test_the_rescue_confirms_nothing(pair):
+    """However good its end, it is no second start that agrees."""
+    method = partial(SMALL, poses=2, first=Stage(40, 1, 12), stages=(Stage(60, 1, 12), Stage(80, 1, 10)))
+    found = register(pair.ct, pair.radiograph, "PA", method=method, initial=pair.initial, half_range=HALF_RANGE)
+    assert len(found.starts) == 2
 
 
 def test_a_mirrored_radiograph_is_recognised(pair):
