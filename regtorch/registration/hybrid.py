@@ -29,7 +29,7 @@ bones there are but voxels that they fill in part; torsos have nine times as muc
 _MORE = 8
 """How many times as many poses are screened where the first do not convince."""
 _GENERATIONS = 60
-"""Of CMA-ES on the first level, where neither do these."""
+"""Of CMA-ES on the first level, where these do not either."""
 _AS_THEY_ARE = 1e-3
 """Voxels per pixel for a volume that is coarse already."""
 
@@ -57,8 +57,9 @@ def hybrid(
     candidates climb on the ``first`` level with their tissue, the better half of them all the way; those that go on are
     the best ones, but at most three of a place, and a quarter of them the other tissue's. On the second level all climb
     with bone alone, and the mean of bone's similarity and that of all tissue ranks them: ``Found.starts``. Where no two
-    of them agree on the best place, or another is nearly as good, eight times as many poses are screened besides. The
-    best goes on, and where it still does not convince a few others with it, fewer on each level.
+    of them agree on the best place, or another is nearly as good, eight times as many poses are screened besides; and
+    where that does not help, CMA-ES searches on from the best places. The best goes on, and where it still does not
+    convince a few others with it, fewer on each level.
     On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is marked down
     (``explained_weight``); on the second also from places beside it, along the flattest directions.
 
