@@ -39,8 +39,7 @@ def levenberg_marquardt(
     are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units of ``scale``, and
     taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, when one that is hardly
     damped, and that no limit cuts off, gains less than ``least_gain`` of what rho lacks to 1, or when one is not taken
-    though strongly damped. One that cannot gain so much by J^T J ends the climb untried: it is taken, and what is
-    returned of similarity and J^T J is of the point before.
+    though strongly damped. Nor is one tried that by J^T J gains no more.
     Points stay between ``lower`` and ``upper``: a parameter at a limit that wants beyond rests.
     """
     x = start.clamp(lower, upper)
@@ -69,7 +68,6 @@ def levenberg_marquardt(
         foretold = -((slope + (curvature @ step[..., None])[..., 0] / 2) * step).sum(1)
         free = (factor[active] < 1) & (there == wanted).all(1)
         near = free & (foretold < least_gain * (1 - similarity[active]))
-        x[active[near]] = there[near]
         here, there, free, active = here[~near], there[~near], free[~near], active[~near]
         if not len(active):
             break

@@ -16,7 +16,7 @@ from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distin
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
 from regtorch.registration.refinement import along_the_flat, finished, forgiving_with_edges, refined
-from regtorch.registration.screening import Candidates, screen
+from regtorch.registration.screening import SHIFTED, Candidates, screen
 from regtorch.registration.verdict import convincing
 from regtorch.similarity import gradient_correlation
 
@@ -67,7 +67,7 @@ def hybrid(
     shows by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone
     alone.
 
-    Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are not larger. They are
+    Voxels are ``voxel_per_pixel`` times what a pixel covers in the patient, where the CT's are much smaller. They are
     read as linear from centre to centre or as constant, whichever the radiograph agrees with more; constant ones have
     edges that look a pixel wide, on the finest level ``edges_px`` wide in turn, or only the last of these where noise
     decides: where bone is not more similar than ``trusted_similarity``, what it does not explain marked down. If in the
@@ -89,7 +89,7 @@ def hybrid(
         return Matcher.of(problem, stage.pixels, voxel_per_pixel, tissue, tally, climb)
 
     def pyramid(tissue: Volume, levels: Sequence[Stage]) -> list[Matcher]:
-        """Coarse to fine; each volume is made of the next finer one, which is far smaller than the CT."""
+        """Coarse to fine; each volume is made of the next finer one, which is often far smaller than the CT."""
         matchers: list[Matcher] = []
         for stage in reversed(levels):
             matchers.insert(0, matcher(stage, matchers[0].level.volume if matchers else tissue))
@@ -124,7 +124,7 @@ def hybrid(
     def convinced(by_bone: Matcher, places: Float[Tensor, "n 9"], stage: Stage) -> tuple[Tensor, Tensor]:
         """Ranked; where that does not convince more poses are looked at, then CMA-ES tries from the best places."""
         places, together = ranked(by_bone, places, stage)
-        if convincing(problem, places, together):
+        if convincing(problem, places, together) or set(problem.free) <= set(SHIFTED):
             return places, together
         more = more_candidates(problem, wide, screening, _MORE * poses, first, stage.candidates)
         both = zip((places, together), climbed(by_bone, more, stage.steps), strict=True)
@@ -133,9 +133,11 @@ def hybrid(
             return places, together
         apart = distinct(problem, places, PLACE_MM, stage.candidates)
         ends, reached = climbed(by_bone, evolved(problem, wide, places[apart], _GENERATIONS), stage.steps)
-        higher = reached > together[apart]  # an end stands for its start, and confirms nothing by itself
-        places[apart] = torch.where(higher[:, None], ends, places[apart])
-        together[apart] = torch.maximum(reached, together[apart])
+        before = places.clone()
+        for index, end, value in zip(apart, ends, reached, strict=True):
+            if value > together[index]:  # for the start and those beside it: an end confirms nothing by itself
+                there = problem.shift_mm(before, before[index]) <= PLACE_MM
+                places[there], together[there] = end, value
         return _best_first(places, together)
 
     edges = torch.inf
@@ -145,7 +147,7 @@ def hybrid(
         if not number:
             parameters, together = starts = convinced(by_bone, parameters, stage)
             sure = convincing(problem, parameters, together)
-        elif len(parameters) > 1:
+        else:
             parameters, _ = ranked(by_bone, parameters, stage)
         best = parameters[0]
         forgiving, edges = forgiving_with_edges(by_bone, best)

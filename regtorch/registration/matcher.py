@@ -17,6 +17,9 @@ from regtorch.similarity.robust import explained_weight
 
 Climb = Callable[..., Ascent]
 
+_WORTH_AVERAGING = 1.6
+"""Voxels that would grow less are left: with a climb or two a level, averaging takes longer than it saves."""
+
 
 @dataclass
 class Tally:
@@ -45,7 +48,7 @@ class Matcher:
         tally: Tally,
         optimizer: Climb = levenberg_marquardt,
     ) -> "Matcher":
-        level = problem.level(pixels, voxel_per_pixel, volume)
+        level = problem.level(pixels, voxel_per_pixel, volume, least_ratio=_WORTH_AVERAGING)
         return cls(problem, level, fixed_gradients(level.fixed.image, level.fixed.weight), tally, optimizer)
 
     def similarity(self, parameters: Float[Tensor, "n 9"]) -> Float[Tensor, " n"]:
@@ -74,6 +77,12 @@ class Matcher:
         )
         self.tally.evaluations += ascent.evaluations
         return ascent
+
+    @property
+    def voxel_px(self) -> float:
+        """How many pixels the smallest side of a voxel covers."""
+        pixel_mm = self.level.fixed.detector.pixel_mm / self.problem.magnification
+        return float(self.level.volume.spacing_mm.min()) / pixel_mm
 
     def with_edges(self, width_px: float) -> "Matcher":
         """The same voxels read as constant up to edges that a pixel shows ``width_px`` wide."""

@@ -18,9 +18,6 @@ Similarity = Callable[..., Float[Tensor, " b"]]
 
 _PIXELS_AT_ONCE = 1 << 22
 
-_WORTH_AVERAGING = 1.6
-"""Times as large as a voxel is: smaller gains cost more to make than they save, and finer voxels are no worse."""
-
 
 @dataclass(frozen=True)
 class Level:
@@ -41,11 +38,15 @@ class Level:
         longest: int,
         magnification: float,
         voxel_per_pixel: float,
+        least_ratio: float,
     ) -> "Level":
-        """At most ``longest`` pixels a side; voxels of about ``voxel_per_pixel`` times a pixel in the patient."""
+        """At most ``longest`` pixels a side; voxels of ``voxel_per_pixel`` times a pixel's size in the patient.
+
+        Those that would not grow more than ``least_ratio`` times stay as they are.
+        """
         fixed = level(radiograph, longest)
         voxel_mm = voxel_per_pixel * fixed.detector.pixel_mm / magnification
-        volume = coarsen(attenuating, voxel_mm, least_ratio=_WORTH_AVERAGING)
+        volume = coarsen(attenuating, voxel_mm, least_ratio=least_ratio)
         fixed = replace(fixed, image=fixed.image.to(volume.data), weight=fixed.weight.to(volume.data))
         return cls(volume, fixed, view, similarity)
 

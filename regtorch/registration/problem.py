@@ -81,7 +81,9 @@ class Problem:
         moved = (self.initial + torch.diag(step))[self.free]
         return self.shift_mm(moved, self.initial) / step[self.free]
 
-    def level(self, longest: int, voxel_per_pixel: float, volume: Volume | None = None) -> Level:
+    def level(
+        self, longest: int, voxel_per_pixel: float, volume: Volume | None = None, *, least_ratio: float = 1.0
+    ) -> Level:
         """The pair at one level of the pyramid; of the CT what is rendered, or another ``volume`` of it."""
         return Level.of(
             self.attenuating if volume is None else volume,
@@ -91,6 +93,7 @@ class Problem:
             longest,
             self.magnification,
             voxel_per_pixel,
+            least_ratio,
         )
 
 

@@ -14,6 +14,9 @@ from regtorch.registration.uncertainty import covariance
 _NEAR = 1e-5
 """First damping of a climb that begins near its end: more would keep SDD and ODD, which hardly matter, from moving."""
 
+_NARROWER = 0.8
+"""What an edge is of a voxel at most that is to look unlike a linear one."""
+
 _FLATTEST, _LOSSES, _LEAST_CURVATURE = 2, (0.01, 0.04), 1e-12
 
 
@@ -60,12 +63,13 @@ def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: in
 def forgiving_with_edges(matcher: Matcher, parameters: Float[Tensor, "9"]) -> tuple[Matcher, float]:
     """What forgives what these parameters do not explain, and how wide it sees edges of voxels.
 
-    As wide as voxels (infinity), or a pixel, whichever is more similar here.
+    As wide as voxels (infinity), or a pixel and less than a voxel, whichever is more similar here.
     """
     linear = matcher.with_edges(torch.inf).forgiving(parameters)
-    constant = linear.with_edges(1.0)
+    width = min(1.0, _NARROWER * matcher.voxel_px)
+    constant = linear.with_edges(width)
     if float((constant.similarity(parameters[None]) - linear.similarity(parameters[None]))[0]) > 0:
-        return matcher.with_edges(1.0).forgiving(parameters), 1.0
+        return matcher.with_edges(width).forgiving(parameters), width
     return linear, torch.inf
 
 

@@ -16,7 +16,9 @@ from regtorch.registration.objective import Level
 from regtorch.registration.problem import Problem
 from regtorch.similarity.gradients import gradient_weight, image_gradients
 
-_SHIFTED = (3, 4)
+SHIFTED = (3, 4)
+"""Which of the nine parameters move the image, and hardly change it."""
+
 _LEAST_ENERGY = 0.1
 _MOST_MAGNIFIED = 1.3
 _POSES_AT_ONCE = 64
@@ -81,7 +83,7 @@ def screen_one_by_one(problem: Problem, level: Level, poses: int, seed: int) -> 
     return Candidates(draws[order], similarity[order])
 
 
-def _draws(problem: Problem, poses: int, seed: int, shifted: tuple[int, ...] = _SHIFTED) -> Float[Tensor, "n 9"]:
+def _draws(problem: Problem, poses: int, seed: int, shifted: tuple[int, ...] = SHIFTED) -> Float[Tensor, "n 9"]:
     kept = [i for i, p in enumerate(problem.free) if p not in shifted]
     poses = poses if kept else 1
     unit = SobolEngine(max(1, len(kept)), scramble=True, seed=seed).draw(poses, dtype=torch.float64)
@@ -98,8 +100,8 @@ def _magnification(parameters: Float[Tensor, "*b 9"]) -> Float[Tensor, "*b"]:
 def _margins(problem: Problem, detector: Detector, draws: Float[Tensor, "n 9"]) -> tuple[int, int]:
     """How many columns and rows the anatomy may move to either side, magnified up to so much more than at the start."""
     most = min(float(_magnification(draws).max()), _MOST_MAGNIFIED * float(_magnification(problem.initial)))
-    across = most * problem.half_range[list(_SHIFTED)] / detector.pixel_mm
-    margins = [math.ceil(float(n)) if p in problem.free else 0 for p, n in zip(_SHIFTED, across, strict=True)]
+    across = most * problem.half_range[list(SHIFTED)] / detector.pixel_mm
+    margins = [math.ceil(float(n)) if p in problem.free else 0 for p, n in zip(SHIFTED, across, strict=True)]
     return margins[0], margins[1]
 
 
@@ -124,7 +126,7 @@ def _in_range(
 ) -> Bool[Tensor, "n r c"]:
     """Which shifts the range holds, half a pixel more at least."""
     inside = []
-    for axis, margin in zip(_SHIFTED, margins, strict=True):
+    for axis, margin in zip(SHIFTED, margins, strict=True):
         offset = (torch.arange(2 * margin + 1) - margin).abs() * detector.pixel_mm
         most = problem.half_range[axis] * _magnification(poses) + detector.pixel_mm / 2
         inside.append(offset <= most[:, None])

@@ -83,10 +83,11 @@ def test_bone_no_denser_than_the_threshold_is_found(pair):
 def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
     """One candidate cannot be confirmed by another."""
     method = partial(SMALL, poses=40, stages=(Stage(60, 1, 12), Stage(80, 1, 10)))
-    settings = {"initial": pair.initial, "half_range": HALF_RANGE}
+    told = []
+    settings = {"initial": pair.initial, "half_range": HALF_RANGE, "progress": lambda share, what: told.append(what)}
     lonely = register(pair.ct, pair.radiograph, "PA", method=method, **settings)
     assert len(lonely.starts) == 2
-    assert lonely.evaluations > 5 * 40
+    assert "screening 320 poses more" in told
 
 
 def test_the_rescue_climbs_without_slopes(pair):
@@ -106,8 +107,23 @@ def test_the_rescue_climbs_without_slopes(pair):
 def test_the_rescue_confirms_nothing(pair):
     """However good its end, it is no second start that agrees."""
     method = partial(SMALL, poses=2, first=Stage(40, 1, 12), stages=(Stage(60, 1, 12), Stage(80, 1, 10)))
-    found = register(pair.ct, pair.radiograph, "PA", method=method, initial=pair.initial, half_range=HALF_RANGE)
+    told = []
+    settings = {"initial": pair.initial, "half_range": HALF_RANGE, "progress": lambda share, what: told.append(what)}
+    upside_down = Radiograph.from_image(pair.radiograph.image.flip(0), DETECTOR)
+    found = register(pair.ct, upside_down, "PA", method=method, **settings)
     assert len(found.starts) == 2
+    assert any(what.startswith("CMA-ES") for what in told)
+    assert found.status != "ok"
+
+
+def test_what_was_computed_twice_confirms_nothing(pair):
+    """With nothing but shifts free there is one pose to screen, however many are asked for."""
+    method = partial(SMALL, first=Stage(40, 1, 12), stages=(Stage(60, 1, 12), Stage(80, 1, 10)))
+    found = register(
+        pair.ct, pair.radiograph, "PA", method=method, free=["x_obj", "y_obj"], initial=pair.truth.parameters
+    )
+    assert len(found.starts) == 1
+    assert found.status == "doubtful"
 
 
 def test_a_mirrored_radiograph_is_recognised(pair):

@@ -2,7 +2,6 @@
 
 import math
 import weakref
-from collections import defaultdict
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ _LEAST_BYTES = 1 << 20
 _MOST_BYTES = 1 << 28
 """Kept at most, in all."""
 
-_kept: defaultdict[int, list[np.ndarray]] = defaultdict(list)
+_kept: dict[int, list[np.ndarray]] = {}
 
 
 def empty(*shape: int) -> Tensor:
@@ -25,7 +24,7 @@ def empty(*shape: int) -> Tensor:
         return torch.from_numpy(np.empty(shape, np.float32))
     try:
         memory = _kept[size].pop()
-    except IndexError:
+    except (KeyError, IndexError):
         memory = np.empty(size, np.uint8)
     lent = memory.view(np.float32).reshape(shape)
     weakref.finalize(lent, _keep, memory).atexit = False  # the tensor and all its views hold ``lent``
@@ -33,7 +32,8 @@ def empty(*shape: int) -> Tensor:
 
 
 def _keep(memory: np.ndarray) -> None:
+    if memory.nbytes > _MOST_BYTES:
+        return
     if sum(size * len(some) for size, some in list(_kept.items())) + memory.nbytes > _MOST_BYTES:
         _kept.clear()
-    if memory.nbytes <= _MOST_BYTES:
-        _kept[memory.nbytes].append(memory)
+    _kept.setdefault(memory.nbytes, []).append(memory)
