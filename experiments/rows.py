@@ -1,6 +1,9 @@
 """What every row of a table of registrations tells: parameters, errors, cost."""
 
+import hashlib
 import math
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -8,7 +11,7 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 from torch import Tensor
 
-from regtorch import __version__
+import regtorch
 from regtorch.evaluation import evaluate
 from regtorch.geometry import parameters_to_dict, pixel_from_patient
 from regtorch.imaging import Volume
@@ -51,5 +54,14 @@ def cost_of(result: Registration, threads: int) -> dict[str, Any]:
         "seconds": round(result.seconds, 2),
         "threads": threads,
         "device": result.device,
-        "version": __version__,
+        "version": code_version(Path(regtorch.__file__).parent),
     }
+
+
+@cache
+def code_version(package: Path) -> str:
+    """The package's version and eight digits that change with its code: rows of one table may be of several."""
+    code = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        code.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return f"{regtorch.__version__}+{code.hexdigest()[:8]}"

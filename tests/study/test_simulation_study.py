@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+import regtorch
 from experiments import simulation_study
 from experiments.checks import CASES
 from experiments.merge import KEY
+from experiments.rows import code_version
 from experiments.table import append, done, keep, locked, whole_lines
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, parameters_from_dict
@@ -44,6 +46,17 @@ def test_a_row_tells_all(settings, tmp_path):
     assert source == [float(row[f"initial_{key}"]) for key in KEYS[:3]] == [0, 0, 1000]
     assert 2 <= int(row["targets"]) <= 19
     assert float(row["pde_mm"]) < float(row["initial_pde_mm"])
+
+
+def test_rows_of_changed_code_are_of_another_version(tmp_path):
+    versions = []
+    for text in ("one = 1", "one = 2", "one = 2"):
+        package = tmp_path / str(len(versions))
+        (package / "inner").mkdir(parents=True)
+        (package / "inner" / "code.py").write_text(text)
+        versions.append(code_version(package))
+    assert versions[1] == versions[2] != versions[0]
+    assert all(version.startswith(f"{regtorch.__version__}+") for version in versions)
 
 
 def test_nine_degrees_of_freedom_find_the_place(undisturbed):
