@@ -41,39 +41,56 @@ def siddon(data, spacing, ray, row, column, value, slopes, adjoint, weight):
     if enter >= leave:
         return
     length = math.sqrt(squared)
-    at, step, due, inverse = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3), np.empty(3)
-    for axis in range(3):
-        start = ray[axis] + enter * d[axis]
-        at[axis] = min(max(math.floor(start + 0.5), 0), size[axis] - 1)
-        step[axis] = 1 if d[axis] > 0 else -1
-        inverse[axis] = 1 / d[axis] if d[axis] != 0 else np.inf
-        due[axis] = (at[axis] + 0.5 * step[axis] - ray[axis]) * inverse[axis] if d[axis] != 0 else np.inf
+    # Scalars, not arrays, and the first class by itself: in registers the walk takes a third of the time.
+    i, step_i, inverse_i = _begin(ray[0], d[0], enter, size[0])
+    j, step_j, inverse_j = _begin(ray[1], d[1], enter, size[1])
+    k, step_k, inverse_k = _begin(ray[2], d[2], enter, size[2])
+    due_i = _due(i, step_i, ray[0], inverse_i)
+    due_j = _due(j, step_j, ray[1], inverse_j)
+    due_k = _due(k, step_k, ray[2], inverse_k)
     if slopes is not None and entered >= 0:
-        _cross(slopes, data, at, entered, enter, d, -1.0)
-    t = enter
+        _cross(slopes, data, (i, j, k), entered, enter, d, -1.0)
+    t, first = enter, 0.0
     while True:
-        axis = 0 if due[0] <= due[1] else 1
-        if due[2] < due[axis]:
-            axis = 2
-        crossing = min(due[axis], leave)
+        if due_i <= due_j and due_i <= due_k:
+            axis, due = 0, due_i
+        elif due_j <= due_k:
+            axis, due = 1, due_j
+        else:
+            axis, due = 2, due_k
+        crossing = min(due, leave)
         if crossing > t:
-            for c in range(channels):
-                value[c] += (crossing - t) * data[c, at[2], at[1], at[0]]
-                if adjoint is not None:
-                    adjoint[c, at[2], at[1], at[0]] += (crossing - t) * length * weight[c]
+            first += (crossing - t) * data[0, k, j, i]
+            for c in range(1, channels):
+                value[c] += (crossing - t) * data[c, k, j, i]
+            if adjoint is not None:
+                for c in range(channels):
+                    adjoint[c, k, j, i] += (crossing - t) * length * weight[c]
             t = crossing
-        if due[axis] > 1:
+        if due > 1:
             break
         if slopes is not None:
-            _cross(slopes, data, at, axis, due[axis], d, 1.0)
-        if due[axis] >= leave:
+            _cross(slopes, data, (i, j, k), axis, due, d, 1.0)
+        if due >= leave:
             break
-        at[axis] += step[axis]
-        if at[axis] < 0 or at[axis] >= size[axis]:
-            break
+        if axis == 0:
+            i += step_i
+            if i < 0 or i >= size[0]:
+                break
+            due_i = (i + 0.5 * step_i - ray[0]) * inverse_i
+        elif axis == 1:
+            j += step_j
+            if j < 0 or j >= size[1]:
+                break
+            due_j = (j + 0.5 * step_j - ray[1]) * inverse_j
+        else:
+            k += step_k
+            if k < 0 or k >= size[2]:
+                break
+            due_k = (k + 0.5 * step_k - ray[2]) * inverse_k
         if slopes is not None:
-            _cross(slopes, data, at, axis, due[axis], d, -1.0)
-        due[axis] = (at[axis] + 0.5 * step[axis] - ray[axis]) * inverse[axis]
+            _cross(slopes, data, (i, j, k), axis, due, d, -1.0)
+    value[0] = first
     for c in range(channels):
         if slopes is not None:
             for axis in range(3):
@@ -81,6 +98,21 @@ def siddon(data, spacing, ray, row, column, value, slopes, adjoint, weight):
                 slopes[c, axis] = length * slopes[c, axis] - stretched
                 slopes[c, 3 + axis] = length * slopes[c, 3 + axis] + stretched
         value[c] *= length
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+@no_type_check
+def _begin(source, d, enter, size):
+    """Along one axis: the voxel in which a ray enters, which way it goes on, and 1 / d."""
+    at = min(max(math.floor(source + enter * d + 0.5), 0), size - 1)
+    return at, 1 if d > 0 else -1, 1 / d if d != 0 else np.inf
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+@no_type_check
+def _due(at, step, source, inverse):
+    """Where on the ray, 0 at the source and 1 at the pixel, the next face across this axis is; infinity for none."""
+    return (at + 0.5 * step - source) * inverse if inverse != np.inf else np.inf
 
 
 @njit(nogil=True, error_model="numpy")
