@@ -12,7 +12,6 @@ from torch import Tensor
 from regtorch.drr.cpu.adjoint import joseph_adjoint
 from regtorch.drr.cpu.images import joseph_images, joseph_pull_back, ray_adjoint, ray_images, ray_pull_back
 from regtorch.drr.cpu.joseph import TILE_COLUMNS, TILE_ROWS
-from regtorch.drr.cpu.memory import empty
 from regtorch.drr.cpu.slices import prepared
 
 _SHARES = 4
@@ -35,7 +34,7 @@ def project(
     method: str,
 ) -> Float[Tensor, "b classes rows columns"]:
     """Line integrals for twelve numbers per pose."""
-    images = empty(len(rays), data.shape[:-3].numel(), rows, columns)
+    images = _empty(len(rays), data.shape[:-3].numel(), rows, columns)
     _fill(data, rays, None, grid, images.numpy(), None, method)
     return images
 
@@ -50,8 +49,8 @@ def project_with_jacobian(
     method: str,
 ) -> tuple[Float[Tensor, "b classes rows columns"], Float[Tensor, "b classes p rows columns"]]:
     """Line integrals, and their derivatives by p parameters of which ``ray_jacobian`` is d rays / d parameters."""
-    images = empty(len(rays), data.shape[:-3].numel(), rows, columns)
-    jacobian = empty(*images.shape[:2], ray_jacobian.shape[2], rows, columns)
+    images = _empty(len(rays), data.shape[:-3].numel(), rows, columns)
+    jacobian = _empty(*images.shape[:2], ray_jacobian.shape[2], rows, columns)
     by_pose = ray_jacobian.contiguous().numpy()
     _fill(data, rays, by_pose, grid, images.numpy(), jacobian.numpy(), method)
     return images, jacobian
@@ -65,6 +64,11 @@ def _fill(data, rays, ray_jacobian, grid, images, jacobian, method):
     else:
         voxels = _voxels(data)
         ray_images(method == "siddon", voxels, six, twelve, ray_jacobian, images, jacobian, 16 * get_num_threads())
+
+
+def _empty(*shape: int) -> Tensor:
+    """By numpy, which asks for large pages where torch does not: touching small ones can take longer than rendering."""
+    return torch.from_numpy(np.empty(shape, np.float32))
 
 
 def _voxels(data: Tensor) -> np.ndarray:
