@@ -28,10 +28,23 @@ _LARGEST_SDD_DEVIATION = 0.02
 
 
 def convincing(problem: Problem, starts: Float[Tensor, "n 9"], similarity: Float[Tensor, " n"]) -> bool:
-    """Whether more than one of the starts, sorted, ended where the first did, and no other place is nearly as good."""
+    """Whether more than one of the starts, sorted, ended where the first did, and no other place is nearly as good.
+
+    And not at a limit of the range, where a climb from a wrong basin ends.
+    """
+    if at_limit(problem, starts[0]):
+        return False
     agree = problem.shift_mm(starts, starts[0]) < _AGREE_MM
     rivals = similarity[~agree]
     return int(agree.sum()) > 1 and (not len(rivals) or float(similarity[0] - rivals[0]) >= _LEAST_GAP)
+
+
+def at_limit(problem: Problem, parameters: Float[Tensor, "9"]) -> list[int]:
+    """Which of the free parameters lie at a limit of their range."""
+    values, lower, upper = parameters[problem.free], problem.lower, problem.upper
+    margin = 1e-3 * (upper - lower)
+    limited = ((values - lower < margin) | (upper - values < margin)).nonzero().flatten()
+    return [problem.free[i] for i in limited.tolist()]
 
 
 def judge(problem: Problem, found: Found) -> tuple[Status, str]:
@@ -42,11 +55,8 @@ def judge(problem: Problem, found: Found) -> tuple[Status, str]:
     if found.mirrored_similarity > best:
         known = f"{found.mirrored_similarity:.2f} instead of {best:.2f}"
         return "doubtful", f"mirrored, the radiograph matches better ({known}): it may show the other side"
-    values, lower, upper = found.parameters[problem.free], problem.lower, problem.upper
-    margin = 1e-3 * (upper - lower)
-    at_limit = ((values - lower < margin) | (upper - values < margin)).nonzero().flatten().tolist()
-    if at_limit:
-        names = ", ".join(KEYS[problem.free[i]].rsplit("_", 1)[0] for i in at_limit)
+    if limited := at_limit(problem, found.parameters):
+        names = ", ".join(KEYS[parameter].rsplit("_", 1)[0] for parameter in limited)
         return "doubtful", f"{names} at the limit of the range searched: the answer may lie beyond"
     if best < found.weak_similarity:
         return "doubtful", f"similarity {best:.2f} at best: too weak to tell this anatomy from another"

@@ -117,3 +117,11 @@ def test_starts_convince_where_two_agree_and_no_other_place_is_as_good(pair, sta
     found = _found(pair, starts_at, similarity)
     order = found.start_similarity.argsort(descending=True)
     assert convincing(pair.problem(ALL), found.starts[order], found.start_similarity[order]) is enough
+
+
+def test_starts_that_agree_on_a_limit_of_the_range_do_not_convince(pair):
+    problem = pair.problem(ALL)
+    found = _found(pair, [0, 5], [0.6, 0.5])
+    assert convincing(problem, found.starts, found.start_similarity)
+    found.starts[:, 0] = problem.upper[0]
+    assert not convincing(problem, found.starts, found.start_similarity)
