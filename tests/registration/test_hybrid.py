@@ -15,7 +15,7 @@ from regtorch.registration import register
 from regtorch.registration.candidates import evolved
 from regtorch.registration.hybrid import Stage, hybrid
 from regtorch.registration.matcher import Matcher, Tally
-from regtorch.registration.screening import screen, screen_one_by_one
+from regtorch.registration.screening import _peaks, screen, screen_one_by_one
 from regtorch.simulation import simulate
 
 from .conftest import DETECTOR
@@ -47,6 +47,24 @@ def test_screening_finds_a_shift_in_the_plane_of_the_detector(pair):
     assert bool((found.similarity.diff() <= 0).all())
     pixel_in_patient_mm = level.fixed.detector.pixel_mm / 1.2
     assert float((found.parameters[0] - pair.truth.parameters)[3:5].abs().max()) < pixel_in_patient_mm
+
+
+@pytest.mark.parametrize("size", [(31, 40), (1, 40), (31, 1), (2, 2), (1, 1)], ids=str)
+def test_peaks_are_the_highest_and_not_their_flanks(size):
+    score = torch.zeros(2, *size)
+    highest = [(size[0] - 1, size[1] // 4), (size[0] // 3, size[1] - 1)]
+    for pose, (row, column) in enumerate(highest):
+        score[pose, row, column] = 1
+        score[pose, max(row - 1, 0), column] += 0.5
+        score[pose, row, max(column - 1, 0)] += 0.5
+    other = size[0] // 2, size[1] // 2 + 1
+    if size == (31, 40):
+        score[:, other[0], other[1]] = 0.25
+    value, at = _peaks(score, 2)
+    assert at[:, 0].tolist() == [list(place) for place in highest]
+    assert torch.equal(value[:, 0], score.flatten(1).amax(1).double())
+    if size == (31, 40):
+        assert at[:, 1].tolist() == [list(other)] * 2
 
 
 def test_frozen_parameters_stay_in_screening(pair):
