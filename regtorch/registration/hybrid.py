@@ -15,7 +15,7 @@ from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
-from regtorch.registration.refinement import along_the_flat, finished, forgiving_with_edges, refined
+from regtorch.registration.refinement import along_the_flat, best_edges_px, finished, refined
 from regtorch.registration.screening import SHIFTED, Candidates, screen
 from regtorch.registration.verdict import convincing
 from regtorch.similarity import gradient_correlation
@@ -150,7 +150,8 @@ def hybrid(
         else:
             parameters, _ = ranked(by_bone, parameters, stage)
         best = parameters[0]
-        forgiving, edges = forgiving_with_edges(by_bone, best)
+        edges, linear = best_edges_px(by_bone, best)
+        forgiving = linear if edges == torch.inf else by_bone.with_edges(edges).forgiving(best)
         if not number:
             best = along_the_flat(forgiving, best, stage.steps)
             forgiving = by_bone.with_edges(edges).forgiving(best)

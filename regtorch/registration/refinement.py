@@ -60,24 +60,25 @@ def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: in
     return problem.embed(ends.x[ends.similarity.argmax()])
 
 
-def forgiving_with_edges(matcher: Matcher, parameters: Float[Tensor, "9"]) -> tuple[Matcher, float]:
-    """What forgives what these parameters do not explain, and how wide it sees edges of voxels.
+def best_edges_px(matcher: Matcher, parameters: Float[Tensor, "9"]) -> tuple[float, Matcher]:
+    """How wide voxels' edges look in the radiograph: as wide as voxels (infinity), or a pixel and less than a voxel.
 
-    As wide as voxels (infinity), or a pixel and less than a voxel, whichever is more similar here.
+    Whichever is more similar here; and what finds that out, which sees them as wide as voxels and forgives what these
+    parameters do not explain.
     """
     linear = matcher.with_edges(torch.inf).forgiving(parameters)
     width = min(1.0, _NARROWER * matcher.voxel_px)
     constant = linear.with_edges(width)
     if float((constant.similarity(parameters[None]) - linear.similarity(parameters[None]))[0]) > 0:
-        return matcher.with_edges(width).forgiving(parameters), width
-    return linear, torch.inf
+        return width, linear
+    return torch.inf, linear
 
 
 def finished(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int, edges_px: Sequence[float]) -> Answer:
     """Refined on the finest level: linear, or with sharper and sharper edges."""
-    forgiving, edges = forgiving_with_edges(matcher, parameters)
+    edges, linear = best_edges_px(matcher, parameters)
     if edges == torch.inf:
-        end = refined(forgiving, parameters, steps)
+        end = refined(linear, parameters, steps)
     else:
         for width in edges_px:
             end = refined(matcher.with_edges(width).forgiving(parameters), parameters, steps)
