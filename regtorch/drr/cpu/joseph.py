@@ -30,6 +30,11 @@ TOTAL_A, TOTAL_B, MOMENT_A, MOMENT_B, AT_HIGH, AT_LOW = (N * i for i in range(6)
 SOURCE_A, SOURCE_B, SOURCE_M, PIXEL_A, PIXEL_B, PIXEL_M = (N * i for i in range(6))
 PER_CHANNEL = 6 * N
 
+_SLICES = 64  # looked at together
+_SLICE = np.arange(_SLICES, dtype=np.float32)
+_SHIFT, _NEXT = np.int32(BLOCK.bit_length() - 1), np.int32(1)  # blocks are powers of two
+_LOW_A, _HIGH_A, _LOW_B, _HIGH_B, _INSIDE = (_SLICES * i for i in range(5))
+
 
 _ROW, _COLUMN = np.divmod(np.arange(N), TILE_COLUMNS)
 _TILE_ROW, _TILE_COLUMN = _ROW.astype(np.float64), _COLUMN.astype(np.float64)
@@ -40,9 +45,9 @@ Y, X = _ROW.astype(np.float32), _COLUMN.astype(np.float32)
 @njit(nogil=True)
 @no_type_check
 def scratch(channels):
-    """Floats [(10 + c) N], offsets [N], groups of four voxels [N] and the same as floats."""
-    groups = np.empty(N, np.complex128)
-    return np.empty(TOTAL + channels * N, np.float32), np.empty(N, np.uint32), groups, groups.view(np.float32)
+    """Floats [(10 + c) N], offsets [N], groups of four voxels [N], the same as floats, boxes in slices [5 _SLICES]."""
+    groups, boxes = np.empty(N, np.complex128), np.empty(5 * _SLICES, np.int32)
+    return np.empty(TOTAL + channels * N, np.float32), np.empty(N, np.uint32), groups, groups.view(np.float32), boxes
 
 
 def slope_scratch(channels, jacobian):
@@ -68,7 +73,7 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
     Values go into the scratch at TOTAL + c N for channel c, derivatives by source and pixel, along ``in_plane(main)``
     and ``main``, into ``slopes`` at c PER_CHANNEL + SOURCE_A ... PIXEL_M, unless that is None.
     """
-    s, offset, groups, four = room
+    s, offset, groups, four, boxes = room
     all_groups, all_tables, sizes = stacks
     stack, tables = all_groups[main], all_tables[main]
     ia, ib = in_plane(main)
@@ -79,10 +84,14 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
     a_end, b_end = np.float32(sizes[main][0] - 2), np.float32(sizes[main][1] - 2)
     pixels = max(rows * TILE_COLUMNS, 1)
     count = np.uint64(pixels)
-    _rays(ray, ia, ib, main, row0, column0, count, s)
-    if slopes is not None:
+    _ends(ray, main, row0, column0, count, s)
+    if slopes is None:
+        _rays(ray, ia, ib, main, row0, column0, count, s)
+    else:
         sums, exact = slopes
-        _directions(ray, ia, ib, main, row0, column0, count, exact)
+        _rays(ray, ia, ib, main, row0, column0, count, exact)
+        for q in range(4 * N):
+            s[q] = np.float32(exact[q])
     channels = stack.shape[0]
     for c in range(channels):
         for q in range(count):
@@ -98,49 +107,46 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
     stop = int(min(math.ceil(max(source, far) + half), np.float32(stack.shape[1])))
     first_whole = (source if source < near else far) + half
     last_whole = (near if source < near else source) - half
-    for slice_index in range(start, stop):
-        k = np.float32(slice_index)
-        a_0, a_1 = s[A0] + k * s[DA], s[A0 + q1] + k * s[DA + q1]
-        a_2, a_3 = s[A0 + q2] + k * s[DA + q2], s[A0 + q3] + k * s[DA + q3]
-        b_0, b_1 = s[B0] + k * s[DB], s[B0 + q1] + k * s[DB + q1]
-        b_2, b_3 = s[B0 + q2] + k * s[DB + q2], s[B0 + q3] + k * s[DB + q3]
-        a_low, a_high = min(min(a_0, a_1), min(a_2, a_3)), max(max(a_0, a_1), max(a_2, a_3))
-        b_low, b_high = min(min(b_0, b_1), min(b_2, b_3)), max(max(b_0, b_1), max(b_2, b_3))
-        if a_high <= one or b_high <= one or a_low >= a_end or b_low >= b_end:
-            continue
-        located = False
-        whole = first_whole <= k <= last_whole
-        for c in range(channels):
-            if _is_empty(tables[c, slice_index], a_low, a_high, b_low, b_high, a_end, b_end):
-                continue
-            if not located:
-                located = True
+    for first in range(start, stop, _SLICES):
+        some = min(_SLICES, stop - first)
+        _boxes(np.float32(first), some, q1, q2, q3, a_end, b_end, tables.shape[3] - 1, tables.shape[2] - 1, s, boxes)
+        for i in range(some):
+            slice_index = first + i
+            k = np.float32(slice_index)
+            located = False
+            for c in range(channels):
+                if _is_empty(tables[c, slice_index], boxes, i):
+                    continue
+                whole = first_whole <= k <= last_whole
+                if not located:
+                    located = True
+                    inside = boxes[_INSIDE + i] != 0
+                    if slopes is None:
+                        _locate(k, count, stride, a_end, b_end, inside, s, s, offset)
+                    else:
+                        _locate(float(slice_index), count, stride, a_end, b_end, inside, exact, s, offset)
+                    if not whole:
+                        _shares(k, source, count, s)
+                values = stack[c, slice_index]
+                for q in range(count):
+                    groups[q] = values[np.uint64(offset[q])]
+                if sharp:
+                    _sharpen(s, four, count, sharp_a, sharp_b)
                 if slopes is None:
-                    _locate(k, count, stride, a_end, b_end, s, s, offset)
+                    if whole:
+                        for q in range(count):
+                            s[TOTAL + c * N + q] += _value(s, four, q)
+                    else:
+                        for q in range(count):
+                            s[TOTAL + c * N + q] += s[SHARE + q] * _value(s, four, q)
                 else:
-                    _locate(float(slice_index), count, stride, a_end, b_end, exact, s, offset)
-                if not whole:
-                    _shares(k, source, count, s)
-            values = stack[c, slice_index]
-            for q in range(count):
-                groups[q] = values[np.uint64(offset[q])]
-            if sharp:
-                _sharpen(s, four, count, sharp_a, sharp_b)
-            if slopes is None:
-                if whole:
-                    for q in range(count):
-                        s[TOTAL + c * N + q] += _value(s, four, q)
-                else:
-                    for q in range(count):
-                        s[TOTAL + c * N + q] += s[SHARE + q] * _value(s, four, q)
-            else:
-                if whole:
-                    for q in range(count):
-                        _add(s, sums, four, c, q, one, k - middle)
-                else:
-                    for q in range(count):
-                        _add(s, sums, four, c, q, s[SHARE + q], k - middle)
-                    _add_ends(s, sums, four, c, k, source, count)
+                    if whole:
+                        for q in range(count):
+                            _add(s, sums, four, c, q, one, k - middle)
+                    else:
+                        for q in range(count):
+                            _add(s, sums, four, c, q, s[SHARE + q], k - middle)
+                        _add_ends(s, sums, four, c, k, source, count)
     if slopes is None:
         _lengthen(ia, ib, main, spacing, channels, count, s)
     else:
@@ -154,11 +160,10 @@ def in_plane(main):
     return (0 if main != 0 else 1), (2 if main != 2 else 1)
 
 
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(nogil=True, fastmath={"contract"})
 @no_type_check
-def _rays(ray, ia, ib, im, row0, column0, count, s):
-    """Where rays are on slice 0, from its border, and per slice, and on which slice their pixel lies."""
-    _directions(ray, ia, ib, im, row0, column0, count, s)
+def _ends(ray, im, row0, column0, count, s):
+    """On which slice rays' pixels lie."""
     end = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im]
     for q in range(count):
         s[END + q] = np.float32(end + _TILE_COLUMN[q] * ray[6 + im] + _TILE_ROW[q] * ray[9 + im])
@@ -166,41 +171,83 @@ def _rays(ray, ia, ib, im, row0, column0, count, s):
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 @no_type_check
-def _directions(ray, ia, ib, im, row0, column0, count, rays):
+def _rays(ray, ia, ib, im, row0, column0, count, rays):
+    """Where rays are on slice 0, from its border, and per slice, in float32 or float64."""
     source_a, source_b, source_m = ray[ia], ray[ib], ray[im]
     along = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im] - source_m
     across_a = ray[3 + ia] + column0 * ray[6 + ia] + row0 * ray[9 + ia] - source_a
     across_b = ray[3 + ib] + column0 * ray[6 + ib] + row0 * ray[9 + ib] - source_b
     for q in range(count):
         row, column = _TILE_ROW[q], _TILE_COLUMN[q]
-        distance = along + column * ray[6 + im] + row * ray[9 + im]
-        da = (across_a + column * ray[6 + ia] + row * ray[9 + ia]) / distance
-        db = (across_b + column * ray[6 + ib] + row * ray[9 + ib]) / distance
+        per_slice = 1 / (along + column * ray[6 + im] + row * ray[9 + im])
+        da = (across_a + column * ray[6 + ia] + row * ray[9 + ia]) * per_slice
+        db = (across_b + column * ray[6 + ib] + row * ray[9 + ib]) * per_slice
         rays[A0 + q], rays[DA + q] = source_a - source_m * da + BORDER, da
         rays[B0 + q], rays[DB + q] = source_b - source_m * db + BORDER, db
 
 
+@njit(nogil=True, fastmath={"contract"})
+@no_type_check
+def _boxes(first, count, q1, q2, q3, a_end, b_end, most_a, most_b, s, boxes):
+    """Between which blocks of ``count`` slices from ``first`` on a tile's rays lie: the same where it holds none."""
+    one = np.float32(1)
+    a0, a1, a2, a3 = s[A0], s[A0 + q1], s[A0 + q2], s[A0 + q3]
+    b0, b1, b2, b3 = s[B0], s[B0 + q1], s[B0 + q2], s[B0 + q3]
+    da0, da1, da2, da3 = s[DA], s[DA + q1], s[DA + q2], s[DA + q3]
+    db0, db1, db2, db3 = s[DB], s[DB + q1], s[DB + q2], s[DB + q3]
+    most_a, most_b = np.int32(most_a), np.int32(most_b)
+    for i in range(np.uint64(count)):
+        k = first + _SLICE[i]
+        a_low = min(min(a0 + k * da0, a1 + k * da1), min(a2 + k * da2, a3 + k * da3))
+        a_high = max(max(a0 + k * da0, a1 + k * da1), max(a2 + k * da2, a3 + k * da3))
+        b_low = min(min(b0 + k * db0, b1 + k * db1), min(b2 + k * db2, b3 + k * db3))
+        b_high = max(max(b0 + k * db0, b1 + k * db1), max(b2 + k * db2, b3 + k * db3))
+        outside = (a_high <= one) | (b_high <= one) | (a_low >= a_end) | (b_low >= b_end)
+        inside = (a_low >= one) & (b_low >= one) & (a_high <= a_end) & (b_high <= b_end)
+        al, ah = _block(a_low, a_end), _block(a_high, a_end) + _NEXT
+        bl, bh = _block(b_low, b_end), _block(b_high, b_end) + _NEXT
+        boxes[_LOW_A + i] = al
+        boxes[_LOW_B + i] = bl
+        boxes[_HIGH_A + i] = al if outside else min(ah, most_a)
+        boxes[_HIGH_B + i] = bl if outside else min(bh, most_b)
+        boxes[_INSIDE + i] = inside
+
+
 @njit(nogil=True, inline="always")
 @no_type_check
-def _is_empty(table, a_low, a_high, b_low, b_high, a_end, b_end):
-    zero = np.float32(0)
-    al, ah = int(max(a_low, zero)) // BLOCK, int(min(a_high, a_end)) // BLOCK + 1
-    bl, bh = int(max(b_low, zero)) // BLOCK, int(min(b_high, b_end)) // BLOCK + 1
-    ah, bh = min(ah, table.shape[1] - 1), min(bh, table.shape[0] - 1)
+def _block(place, end):
+    return np.int32(min(max(place, np.float32(0)), end)) >> _SHIFT
+
+
+@njit(nogil=True, inline="always")
+@no_type_check
+def _is_empty(table, boxes, i):
+    al, ah = np.uint64(boxes[_LOW_A + i]), np.uint64(boxes[_HIGH_A + i])
+    bl, bh = np.uint64(boxes[_LOW_B + i]), np.uint64(boxes[_HIGH_B + i])
     return table[bh, ah] - table[bl, ah] - table[bh, al] + table[bl, al] == 0
 
 
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
-def _locate(k, count, stride, a_end, b_end, rays, s, offset):
-    """Cells and places in them on slice k, from rays in float32 or float64."""
-    zero = np.float32(0)
-    for q in range(count):
-        a = min(max(rays[A0 + q] + k * rays[DA + q], zero), a_end)
-        b = min(max(rays[B0 + q] + k * rays[DB + q], zero), b_end)
-        column, row = np.floor(a), np.floor(b)
-        s[FA + q], s[FB + q] = np.float32(a - column), np.float32(b - row)
-        offset[q] = np.uint32(np.int32(row)) * stride + np.uint32(np.int32(column))
+def _locate(k, count, stride, a_end, b_end, inside, rays, s, offset):
+    """Cells and places in them on slice k, from rays in float32 or float64; at its border for a ray beyond it."""
+    if inside:
+        for q in range(count):
+            _place(rays[A0 + q] + k * rays[DA + q], rays[B0 + q] + k * rays[DB + q], q, stride, s, offset)
+    else:
+        zero = np.float32(0)
+        for q in range(count):
+            a = min(max(rays[A0 + q] + k * rays[DA + q], zero), a_end)
+            b = min(max(rays[B0 + q] + k * rays[DB + q], zero), b_end)
+            _place(a, b, q, stride, s, offset)
+
+
+@njit(nogil=True, inline="always", fastmath={"contract"})
+@no_type_check
+def _place(a, b, q, stride, s, offset):
+    column, row = np.floor(a), np.floor(b)
+    s[FA + q], s[FB + q] = np.float32(a - column), np.float32(b - row)
+    offset[q] = np.uint32(np.int32(row)) * stride + np.uint32(np.int32(column))
 
 
 @njit(nogil=True)
