@@ -120,6 +120,12 @@ def test_coarsening_by_two_is_the_mean_of_eight() -> None:
     assert coarsen(fine, 0.9).data is data, "never finer"
 
 
+def test_coarsening_leaves_an_axis_that_would_hardly_shrink() -> None:
+    fine = volume_of(torch.rand(8, 9, 10), (1.0, 1.9, 4.0)).with_data(torch.rand(8, 9, 10), unit="per_mm")
+    assert coarsen(fine, 3.0, least_ratio=1.6).spacing_mm.tolist() == pytest.approx([3.0, 1.9, 4.0])
+    assert coarsen(fine, 3.0).spacing_mm.tolist() == pytest.approx([3.0, 3.0, 4.0])
+
+
 def test_coarsening_hounsfield_units_surrounds_them_with_air() -> None:
     coarse = coarsen(volume_of(torch.zeros(3, 3, 3)), 2.0)
     assert float(coarse.data[0, 0, 0]) == pytest.approx(-1000 + 1000 * 0.75**3)

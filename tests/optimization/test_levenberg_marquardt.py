@@ -47,6 +47,16 @@ def test_every_start_near_enough_finds_the_optimum():
     torch.testing.assert_close(found.similarity, torch.ones(3, dtype=torch.float64))
 
 
+def test_no_step_is_tried_that_can_gain_nothing():
+    assert _climb(TRUE[None]).evaluations == 1
+    near = (TRUE + torch.tensor([0.3, 0.05], dtype=torch.float64))[None]
+    assert _climb(near).evaluations > 2
+    clutter = _climb(near, clutter=0.3)
+    again = _climb(clutter.x, clutter=0.3)
+    assert again.evaluations == 1
+    assert _climb(clutter.x, clutter=0.3, least_gain=0.0).evaluations > 1
+
+
 def test_limits_hold_and_the_rest_is_still_sought():
     upper = torch.tensor([2.0, 1.0], dtype=torch.float64)
     found = _climb(torch.tensor([[1.0, 0.2]], dtype=torch.float64), upper=upper)

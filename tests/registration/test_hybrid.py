@@ -7,14 +7,16 @@ from functools import partial
 import pytest
 import torch
 
+from regtorch.drr import render
 from regtorch.evaluation import projection_distances
-from regtorch.geometry import pixel_from_patient
+from regtorch.geometry import Detector, pixel_from_patient
 from regtorch.imaging import Radiograph
 from regtorch.optimization.evolve import evolve
 from regtorch.registration import register
 from regtorch.registration.candidates import evolved
 from regtorch.registration.hybrid import Stage, hybrid
 from regtorch.registration.matcher import Matcher, Tally
+from regtorch.registration.refinement import best_edges_px
 from regtorch.registration.screening import _peaks, screen, screen_one_by_one
 from regtorch.simulation import simulate
 
@@ -86,6 +88,30 @@ def test_the_truth_is_found_from_far_away(pair, threshold_hu):
     assert _pde_mm(pair, found.parameters) < 0.5
     assert found.status == "ok", found.message
     assert found.evaluations < 4000
+
+
+def test_one_candidate_goes_on_where_the_first_level_convinces(pair):
+    told = []
+    settings = {"initial": pair.truth.parameters + FAR, "half_range": HALF_RANGE}
+    settings["progress"] = lambda share, what: told.append(what)
+    register(pair.ct, pair.radiograph, "PA", method=SMALL, **settings)
+    assert "80 pixels, 1 candidates" in told
+    assert not any(what.endswith("more") for what in told)
+
+
+def test_voxels_of_siddons_method_have_edges_narrower_than_themselves(pair):
+    """At the truth, though they are smaller than a pixel; those of a radiograph of linear ones have not."""
+    detector, truth = Detector(44, 36, 8.0), pair.truth.parameters
+    attenuating = pair.problem(list(range(9))).attenuating
+    edges = {}
+    for method in ("siddon", "joseph"):
+        drr = render(attenuating, truth, detector, "PA", method=method)
+        problem = pair.problem(list(range(9)), radiograph=Radiograph.from_image(drr, detector))
+        matcher = Matcher.of(problem, 44, 1e-3, attenuating, Tally())
+        assert 0.8 < matcher.voxel_px < 1
+        edges[method], linear = best_edges_px(matcher, truth)
+        assert linear.level.volume.sharpness == (1, 1, 1)
+    assert edges == {"siddon": pytest.approx(0.8 * matcher.voxel_px), "joseph": math.inf}
 
 
 def test_bone_no_denser_than_the_threshold_is_found(pair):
