@@ -1,4 +1,8 @@
-"""Poses in, sums of gradient images out: a band of a DRR and of its derivatives never leaves the core's cache."""
+"""Poses in, sums of gradient images out: a band of a DRR and of its derivatives never leaves the core's cache.
+
+Where several poses' bands fit there, these poses are rendered together, tiles' row by tiles' row: they read the same
+part of the volume.
+"""
 
 from typing import no_type_check
 
@@ -11,7 +15,7 @@ from torch import Tensor
 from regtorch.drr.cpu.joseph import TILE_COLUMNS, TILE_ROWS, scratch, slope_scratch
 from regtorch.drr.cpu.slices import prepared
 from regtorch.drr.cpu.tile import paint
-from regtorch.similarity.cpu import band_gram, bands, gradient_scratch
+from regtorch.similarity.cpu import IN_CACHE, band_gram, bands, gradient_scratch
 from regtorch.similarity.gram import FixedGradients
 
 
@@ -49,26 +53,33 @@ def _grams(groups, tables, sizes, spacing, rays, ray_jacobian, band, unit, root,
 def _share(thread, threads, stacks, spacing, rays, ray_jacobian, band, unit, root, partial, squares):
     poses, count, _, images, _ = partial.shape
     rows, columns = root.shape
-    buffer = np.empty((images, band + 2, columns), np.float32)
+    fit = max(1, IN_CACHE // (images * (band + 2) * columns))
+    groups = max(1, (poses + fit * threads - 1) // (fit * threads)) * threads  # as many for each thread
+    together = (poses + groups - 1) // groups
+    buffers = np.empty((together, images, band + 2, columns), np.float32)
     gradients = gradient_scratch(images, columns)
-    image, jacobian = buffer[:1], _derivatives(buffer, ray_jacobian)
     room, slopes = scratch(1), slope_scratch(1, ray_jacobian)
-    for item in range(thread, poses * count, threads):
-        b, pose = item // poses, item % poses
+    for item in range(thread, groups * count, threads):
+        b, group = item // groups, item % groups
+        first, last = group * together, min((group + 1) * together, poses)
         row0, row1 = b * band, min((b + 1) * band, rows)
         if row0 >= row1:
             continue
         top, bottom = max(row0 - 1, 0), min(row1 + 1, rows)  # gradients reach one row further
-        by_pose = _of(ray_jacobian, pose)
         for row in range(top, bottom, TILE_ROWS):
-            for column in range(0, columns, TILE_COLUMNS):
-                place = row, min(row + TILE_ROWS, bottom), column, min(column + TILE_COLUMNS, columns)
-                paint(stacks, spacing, rays[pose], by_pose, place, room, slopes, image, jacobian, row0 - 1, 0)
-        if row0 == 0:  # borders are replicated
-            buffer[:, 0] = buffer[:, 1]
-        if row1 == rows:
-            buffer[:, rows - row0 + 1] = buffer[:, rows - row0]
-        squares[pose, b] = band_gram(buffer, row0, row1, unit, root, gradients, partial[pose, b])
+            for pose in range(first, last):
+                buffer, by_pose = buffers[pose - first], _of(ray_jacobian, pose)
+                image, jacobian = buffer[:1], _derivatives(buffer, ray_jacobian)
+                for column in range(0, columns, TILE_COLUMNS):
+                    place = row, min(row + TILE_ROWS, bottom), column, min(column + TILE_COLUMNS, columns)
+                    paint(stacks, spacing, rays[pose], by_pose, place, room, slopes, image, jacobian, row0 - 1, 0)
+        for pose in range(first, last):
+            buffer = buffers[pose - first]
+            if row0 == 0:  # borders are replicated
+                buffer[:, 0] = buffer[:, 1]
+            if row1 == rows:
+                buffer[:, rows - row0 + 1] = buffer[:, rows - row0]
+            squares[pose, b] = band_gram(buffer, row0, row1, unit, root, gradients, partial[pose, b])
 
 
 @njit(nogil=True)

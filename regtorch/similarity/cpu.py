@@ -8,6 +8,9 @@ from jaxtyping import Float
 from numba import get_num_threads, njit, prange
 from torch import Tensor
 
+IN_CACHE = 1 << 17
+"""Floats that a core's second-level cache holds beside what else is read."""
+
 _ROWS = 130
 _GRADIENTS = 8192
 
@@ -35,7 +38,7 @@ def bands(rows: int, columns: int, images: int) -> tuple[int, int]:
 
     Independent of the number of threads, so that any gives the same bits.
     """
-    most = max(1, min(_ROWS, (1 << 17) // (images * columns)) - 2)
+    most = max(1, min(_ROWS, IN_CACHE // (images * columns)) - 2)
     count = -(-rows // most)
     return count, -(-rows // count)
 
