@@ -15,9 +15,9 @@ from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
-from regtorch.registration.refinement import along_the_flat, best_edges_px, finished, refined
+from regtorch.registration.refinement import End, along_the_flat, best_edges_px, finished, refined
 from regtorch.registration.screening import SHIFTED, Candidates, screen
-from regtorch.registration.verdict import convincing
+from regtorch.registration.verdict import at_limit, convincing
 from regtorch.similarity import gradient_correlation
 
 _WEAK = 0.3
@@ -57,9 +57,9 @@ def hybrid(
     candidates climb on the ``first`` level with their tissue, the better half of them all the way; those that go on are
     the best ones, but at most three of a place, and a quarter of them the other tissue's. On the second level all climb
     with bone alone, and the mean of bone's similarity and that of all tissue ranks them: ``Found.starts``. Where no two
-    of them agree on the best place, or another is nearly as good, eight times as many poses are screened besides; and
-    where that does not help, CMA-ES searches on from the best places. The best goes on, and where it still does not
-    convince a few others with it, fewer on each level.
+    of them agree on the best place, or another is nearly as good, or the best ends at a limit of the range, eight times
+    as many poses are screened besides; and where that does not help, CMA-ES searches on from the best places. The best
+    goes on, and where it still does not convince a few others with it, fewer on each level.
     On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is marked down
     (``explained_weight``); on the second also from places beside it, along the flattest directions.
 
@@ -121,11 +121,11 @@ def hybrid(
     def ranked(by_bone: Matcher, places: Float[Tensor, "n 9"], stage: Stage) -> tuple[Tensor, Tensor]:
         return _best_first(*climbed(by_bone, places[: stage.candidates], stage.steps))
 
-    def convinced(by_bone: Matcher, places: Float[Tensor, "n 9"], stage: Stage) -> tuple[Tensor, Tensor]:
-        """Ranked; where that does not convince more poses are looked at, then CMA-ES tries from the best places."""
-        places, together = ranked(by_bone, places, stage)
-        if convincing(problem, places, together) or set(problem.free) <= set(SHIFTED):
+    def looked_further(by_bone: Matcher, places: Tensor, together: Tensor) -> tuple[Tensor, Tensor]:
+        """With more poses; where these do not convince either, CMA-ES tries from the best places."""
+        if set(problem.free) <= set(SHIFTED):
             return places, together
+        stage = stages[0]
         more = more_candidates(problem, wide, screening, _MORE * poses, first, stage.candidates)
         both = zip((places, together), climbed(by_bone, more, stage.steps), strict=True)
         places, together = _best_first(*(torch.cat(pair) for pair in both))
@@ -140,28 +140,39 @@ def hybrid(
                 places[there], together[there] = end, value
         return _best_first(places, together)
 
-    edges = torch.inf
-    for number, stage in enumerate(stages):
-        problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
-        by_bone = pyramids[0][number + 1].with_edges(edges)
-        if not number:
-            parameters, together = starts = convinced(by_bone, parameters, stage)
-            sure = convincing(problem, parameters, together)
-        else:
-            parameters, _ = ranked(by_bone, parameters, stage)
-        best = parameters[0]
-        edges, linear = best_edges_px(by_bone, best)
-        forgiving = linear if edges == torch.inf else by_bone.with_edges(edges).forgiving(best)
-        if not number:
-            best = along_the_flat(forgiving, best, stage.steps)
-            forgiving = by_bone.with_edges(edges).forgiving(best)
-        end = refined(forgiving, best, stage.steps)
-        best = end.parameters
-        rest = [] if sure else distinct(problem, parameters, PLACE_MM, len(parameters))[1:]
-        parameters = torch.cat([best[None], parameters[rest]])
+    def sharpened(parameters: Tensor, together: Tensor) -> End:
+        """The best place up to the level before the finest, and a few others with it where it does not convince."""
+        sure = convincing(problem, parameters, together)
+        edges = torch.inf
+        for number, stage in enumerate(stages):
+            by_bone = pyramids[0][number + 1].with_edges(edges)
+            if number:
+                problem.progress(0.4 + 0.2 * number, f"{stage.pixels} pixels, {len(parameters)} candidates")
+                parameters, _ = ranked(by_bone, parameters, stage)
+            best = parameters[0]
+            edges, linear = best_edges_px(by_bone, best)
+            forgiving = linear if edges == torch.inf else by_bone.with_edges(edges).forgiving(best)
+            if not number:
+                best = along_the_flat(forgiving, best, stage.steps)
+                forgiving = by_bone.with_edges(edges).forgiving(best)
+            end = refined(forgiving, best, stage.steps)
+            rest = [] if sure else distinct(problem, parameters, PLACE_MM, len(parameters))[1:]
+            parameters = torch.cat([end.parameters[None], parameters[rest]])
+        return end
+
+    problem.progress(0.4, f"{stages[0].pixels} pixels, {len(parameters)} candidates")
+    by_bone = pyramids[0][1]
+    starts = ranked(by_bone, parameters, stages[0])
+    enough = convincing(problem, *starts)
+    if not enough:
+        starts = looked_further(by_bone, *starts)
+    end = sharpened(*starts)
+    if enough and at_limit(problem, end.parameters):
+        starts = looked_further(by_bone, *starts)
+        end = sharpened(*starts)
     problem.progress(0.8, f"{finest.pixels} pixels")
     widths = edges_px if end.similarity > trusted_similarity else edges_px[-1:]
-    found = finished(matcher(finest, bone), best, finest.steps, widths)
+    found = finished(matcher(finest, bone), end.parameters, finest.steps, widths)
     if not alike:
         problem.progress(0.9, "all tissue")
         if float(pyramids[1][1].similarity(found.parameters[None])[0]) > trusted_similarity:

@@ -134,6 +134,18 @@ def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
     assert "screening 320 poses more" in told
 
 
+def test_more_poses_are_looked_at_where_the_answer_ends_at_a_limit(pair, monkeypatch):
+    """However well the first ones agreed."""
+    monkeypatch.setattr("regtorch.registration.hybrid.at_limit", lambda problem, parameters: [0])
+    told = []
+    settings = {"initial": pair.truth.parameters + FAR, "half_range": HALF_RANGE}
+    settings["progress"] = lambda share, what: told.append(what)
+    found = register(pair.ct, pair.radiograph, "PA", method=SMALL, **settings)
+    assert "screening 3200 poses more" in told
+    assert told.index("screening 3200 poses more") > told.index("80 pixels, 1 candidates")
+    assert _pde_mm(pair, found.parameters) < 0.5
+
+
 def test_the_rescue_climbs_without_slopes(pair):
     """From 40 mm off, among places that lie wrong: each start ends as its own place, none below where it began."""
     problem = pair.problem(list(range(9)), initial=pair.truth.parameters, half_range=HALF_RANGE)
