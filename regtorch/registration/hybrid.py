@@ -57,9 +57,10 @@ def hybrid(
     candidates climb on the ``first`` level with their tissue, the better half of them all the way; those that go on are
     the best ones, but at most three of a place, and a quarter of them the other tissue's. On the second level all climb
     with bone alone, and the mean of bone's similarity and that of all tissue ranks them: ``Found.starts``. Where no two
-    of them agree on the best place, or another is nearly as good, or the best ends at a limit of the range, eight times
-    as many poses are screened besides; and where that does not help, CMA-ES searches on from the best places. The best
-    goes on, and where it still does not convince a few others with it, fewer on each level.
+    of them agree on the best place, or another is nearly as good, eight times as many poses are screened besides; and
+    where that does not help, CMA-ES searches on from the best places. The best goes on, and where it still does not
+    convince a few others with it, fewer on each level. Where it convinced and yet ends at a limit of the range, more
+    poses are screened after all.
     On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is marked down
     (``explained_weight``); on the second also from places beside it, along the flattest directions.
 
@@ -168,8 +169,9 @@ def hybrid(
         starts = looked_further(by_bone, *starts)
     end = sharpened(*starts)
     if enough and at_limit(problem, end.parameters):
-        starts = looked_further(by_bone, *starts)
-        end = sharpened(*starts)
+        known, starts = starts[0][0], looked_further(by_bone, *starts)
+        if not torch.equal(known, starts[0][0]):
+            end = sharpened(*starts)
     problem.progress(0.8, f"{finest.pixels} pixels")
     widths = edges_px if end.similarity > trusted_similarity else edges_px[-1:]
     found = finished(matcher(finest, bone), end.parameters, finest.steps, widths)

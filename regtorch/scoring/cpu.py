@@ -60,7 +60,8 @@ def _share(thread, threads, stacks, spacing, rays, ray_jacobian, band, unit, roo
     gradients = gradient_scratch(images, columns)
     room, slopes = scratch(1), slope_scratch(1, ray_jacobian)
     for item in range(thread, groups * count, threads):
-        b, group = item // groups, item % groups
+        b = item // groups
+        group = (item + b) % groups  # so that one pose's bands are shared out as well
         first, last = group * together, min((group + 1) * together, poses)
         row0, row1 = b * band, min((b + 1) * band, rows)
         if row0 >= row1:
