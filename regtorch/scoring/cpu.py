@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numba import get_num_threads, njit, prange
 from torch import Tensor
 
-from regtorch.drr.cpu.joseph import TILE_COLUMNS, TILE_ROWS, scratch, slope_scratch
+from regtorch.drr.cpu.scratch import TILE_COLUMNS, TILE_ROWS, scratch, slope_scratch
 from regtorch.drr.cpu.slices import prepared
 from regtorch.drr.cpu.tile import paint
 from regtorch.similarity.cpu import IN_CACHE, band_gram, bands, gradient_scratch

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from regtorch.drr.cpu.adjoint import joseph_adjoint
 from regtorch.drr.cpu.images import joseph_images, joseph_pull_back, ray_adjoint, ray_images, ray_pull_back
-from regtorch.drr.cpu.joseph import TILE_COLUMNS, TILE_ROWS
+from regtorch.drr.cpu.scratch import TILE_COLUMNS, TILE_ROWS
 from regtorch.drr.cpu.slices import prepared
 
 _SHARES = 4

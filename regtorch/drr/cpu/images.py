@@ -9,7 +9,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
-from regtorch.drr.cpu.joseph import TILE_COLUMNS, TILE_ROWS, scratch, slope_scratch
+from regtorch.drr.cpu.scratch import TILE_COLUMNS, TILE_ROWS, scratch, slope_scratch
 from regtorch.drr.cpu.siddon import siddon
 from regtorch.drr.cpu.tile import paint
 from regtorch.drr.cpu.trilinear import trilinear

@@ -16,53 +16,42 @@ import math
 from typing import no_type_check
 
 import numpy as np
-from numba import njit, types
-from numba.extending import overload
+from numba import njit
 
+from regtorch.drr.cpu.scratch import (
+    A0,
+    AT_HIGH,
+    AT_LOW,
+    B0,
+    COLUMN,
+    DA,
+    DB,
+    END,
+    FA,
+    FB,
+    MOMENT_A,
+    MOMENT_B,
+    PER_CHANNEL,
+    PIXEL_A,
+    PIXEL_B,
+    PIXEL_M,
+    ROW,
+    SHARE,
+    SLICES,
+    SOURCE_A,
+    SOURCE_B,
+    SOURCE_M,
+    TILE_COLUMNS,
+    TOTAL,
+    TOTAL_A,
+    TOTAL_B,
+    N,
+)
 from regtorch.drr.cpu.slices import BLOCK, BORDER
 
-TILE_ROWS, TILE_COLUMNS = 8, 16
-N = TILE_ROWS * TILE_COLUMNS
-
-# Places in a tile's float32 scratch, each N long: one array, so that the compiler sees that they do not overlap.
-A0, DA, B0, DB, END, FA, FB, SHARE, DERIVATIVE, TOTAL = (N * i for i in range(10))
-TOTAL_A, TOTAL_B, MOMENT_A, MOMENT_B, AT_HIGH, AT_LOW = (N * i for i in range(6))
-SOURCE_A, SOURCE_B, SOURCE_M, PIXEL_A, PIXEL_B, PIXEL_M = (N * i for i in range(6))
-PER_CHANNEL = 6 * N
-
-_SLICES = 64  # looked at together
-_SLICE = np.arange(_SLICES, dtype=np.float32)
+_SLICE = np.arange(SLICES, dtype=np.float32)
 _SHIFT, _NEXT = np.int32(BLOCK.bit_length() - 1), np.int32(1)  # blocks are powers of two
-_LOW_A, _HIGH_A, _LOW_B, _HIGH_B, _INSIDE = (_SLICES * i for i in range(5))
-
-
-_ROW, _COLUMN = np.divmod(np.arange(N), TILE_COLUMNS)
-_TILE_ROW, _TILE_COLUMN = _ROW.astype(np.float64), _COLUMN.astype(np.float64)
-Y, X = _ROW.astype(np.float32), _COLUMN.astype(np.float32)
-"""Where pixel q of a tile lies. Loops run over q, for a compiler has use for long loops only."""
-
-
-@njit(nogil=True)
-@no_type_check
-def scratch(channels):
-    """Floats [(10 + c) N], offsets [N], groups of four voxels [N], the same as floats, boxes in slices [5 _SLICES]."""
-    groups, boxes = np.empty(N, np.complex128), np.empty(5 * _SLICES, np.int32)
-    return np.empty(TOTAL + channels * N, np.float32), np.empty(N, np.uint32), groups, groups.view(np.float32), boxes
-
-
-def slope_scratch(channels, jacobian):
-    """Room for derivatives and for rays in float64, or None where ``jacobian`` is None.
-
-    A bilinear value has a kink at every voxel: in float32 a ray near one may take its derivative from the wrong side.
-    """
-
-
-@overload(slope_scratch)  # of the types, so that no kernel asks again and again
-@no_type_check
-def _slope_scratch(channels, jacobian):
-    if isinstance(jacobian, types.NoneType):
-        return lambda channels, jacobian: None
-    return lambda channels, jacobian: (np.empty(channels * PER_CHANNEL, np.float32), np.empty(4 * N))
+_LOW_A, _HIGH_A, _LOW_B, _HIGH_B, _INSIDE = (SLICES * i for i in range(5))
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
@@ -107,8 +96,8 @@ def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
     stop = int(min(math.ceil(max(source, far) + half), np.float32(stack.shape[1])))
     first_whole = (source if source < near else far) + half
     last_whole = (near if source < near else source) - half
-    for first in range(start, stop, _SLICES):
-        some = min(_SLICES, stop - first)
+    for first in range(start, stop, SLICES):
+        some = min(SLICES, stop - first)
         _boxes(np.float32(first), some, q1, q2, q3, a_end, b_end, tables.shape[3] - 1, tables.shape[2] - 1, s, boxes)
         for i in range(some):
             slice_index = first + i
@@ -166,7 +155,7 @@ def _ends(ray, im, row0, column0, count, s):
     """On which slice rays' pixels lie."""
     end = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im]
     for q in range(count):
-        s[END + q] = np.float32(end + _TILE_COLUMN[q] * ray[6 + im] + _TILE_ROW[q] * ray[9 + im])
+        s[END + q] = np.float32(end + COLUMN[q] * ray[6 + im] + ROW[q] * ray[9 + im])
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
@@ -178,7 +167,7 @@ def _rays(ray, ia, ib, im, row0, column0, count, rays):
     across_a = ray[3 + ia] + column0 * ray[6 + ia] + row0 * ray[9 + ia] - source_a
     across_b = ray[3 + ib] + column0 * ray[6 + ib] + row0 * ray[9 + ib] - source_b
     for q in range(count):
-        row, column = _TILE_ROW[q], _TILE_COLUMN[q]
+        row, column = ROW[q], COLUMN[q]
         per_slice = 1 / (along + column * ray[6 + im] + row * ray[9 + im])
         da = (across_a + column * ray[6 + ia] + row * ray[9 + ia]) * per_slice
         db = (across_b + column * ray[6 + ib] + row * ray[9 + ib]) * per_slice

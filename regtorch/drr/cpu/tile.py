@@ -5,7 +5,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from regtorch.drr.cpu.joseph import (
+from regtorch.drr.cpu.joseph import follow, in_plane
+from regtorch.drr.cpu.scratch import (
     DERIVATIVE,
     PER_CHANNEL,
     PIXEL_A,
@@ -19,8 +20,6 @@ from regtorch.drr.cpu.joseph import (
     N,
     X,
     Y,
-    follow,
-    in_plane,
 )
 
 _MIXED = -1
