@@ -15,7 +15,7 @@ from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
-from regtorch.registration.refinement import End, along_the_flat, best_edges_px, finished, refined
+from regtorch.registration.refinement import End, along_the_flat, best_edges_px, finished, refined, released
 from regtorch.registration.screening import SHIFTED, Candidates, screen
 from regtorch.registration.verdict import at_limit, convincing
 from regtorch.similarity import gradient_correlation
@@ -73,7 +73,8 @@ def hybrid(
     edges that look a pixel wide, on the finest level ``edges_px`` wide in turn, or only the last of these where noise
     decides: where bone is not more similar than ``trusted_similarity``, what it does not explain marked down. If in the
     end all tissue is more similar than that on the second level, nothing marked down, it has not moved, and makes the
-    answer if it is more similar than bone on the finest.
+    answer if it is more similar than bone on the finest. Parameters that are frozen are released in the end, to see
+    whether they fit.
 
     For ablations: without ``soft_tissue`` bone does all, and by all that it attenuates; ``screening`` may be
     ``screen_one_by_one``, and ``climb`` be ``optimization.evolve``, which knows no derivatives.
@@ -180,15 +181,20 @@ def hybrid(
         if float(pyramids[1][1].similarity(found.parameters[None])[0]) > trusted_similarity:
             other = finished(matcher(finest, whole), found.parameters, finest.steps, edges_px)
             found = other if other.plain_similarity > found.plain_similarity else found
+    error, moves = found.covariance, None
+    if len(problem.free) < len(found.parameters):
+        moves = released(by_bone, found.parameters, stages[0].steps)
+        error = error + moves.outer(moves)
     return Found(
         parameters=found.parameters,
         similarity=found.similarity,
         starts=starts[0],
         start_similarity=starts[1],
         evaluations=tally.evaluations,
-        covariance=found.covariance,
+        covariance=error,
         weak_similarity=0.0 if alike else _WEAK,
         mirrored_similarity=_mirrored_similarity(problem, pyramids, (first, stages[0]), starts[0][0]),
+        released=moves,
     )
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from regtorch.evaluation import projection_distances
 from regtorch.geometry import NAMES, pixel_from_patient
 from regtorch.imaging import Radiograph, Volume
+from regtorch.registration.initial import SEARCH
 from regtorch.registration.objective import Level, Similarity
 
 Progress = Callable[[float, str], None]
@@ -63,6 +64,13 @@ class Problem:
         parameters[..., self.free] = values
         return parameters
 
+    def released(self) -> "Problem":
+        """The same where all nine may move: those that were frozen as far as they are searched unless told."""
+        half_range = self.half_range.clone()
+        frozen = [index for index in range(len(NAMES)) if index not in self.free]
+        half_range[frozen] = torch.tensor(SEARCH, dtype=torch.float64)[frozen]
+        return replace(self, free=list(range(len(NAMES))), half_range=half_range)
+
     def mirrored(self) -> "Problem":
         """The same with the radiograph mirrored left to right, and source and patient with it."""
         image, weight = self.radiograph.image.flip(1), self.radiograph.weight.flip(1)
@@ -104,6 +112,7 @@ class Found:
     ``covariance`` is that of the nine parameters (mm, rad), if the method knows any. Below ``weak_similarity`` the best
     start is no better than those for another's anatomy may be, if the method knows how good these are.
     ``mirrored_similarity`` is what the best start reaches with the radiograph mirrored, if the method has tried.
+    ``released`` is how far the nine parameters (mm, rad) go from there once those that are frozen may move, if any are.
     """
 
     parameters: Float[Tensor, "9"]
@@ -114,3 +123,4 @@ class Found:
     covariance: Float[Tensor, "9 9"] | None = None
     weak_similarity: float = 0.0
     mirrored_similarity: float = -1.0
+    released: Float[Tensor, "9"] | None = None

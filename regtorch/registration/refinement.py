@@ -60,6 +60,17 @@ def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: in
     return problem.embed(ends.x[ends.similarity.argmax()])
 
 
+def released(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:
+    """How far the nine parameters go from where they fit best once those that are frozen may move as well.
+
+    Where what is frozen is right, noise moves them along the flattest directions, which hardly moves the image. Where
+    it is not, this tells about how far off the image is.
+    """
+    problem = matcher.problem.released()
+    held = matcher.problem.embed(matcher.climb(parameters[None], steps, _NEAR).x)
+    return problem.embed(replace(matcher, problem=problem).climb(held, 2 * steps).x)[0] - held[0]
+
+
 def best_edges_px(matcher: Matcher, parameters: Float[Tensor, "9"]) -> tuple[float, Matcher]:
     """How wide voxels' edges look in the radiograph: as wide as voxels (infinity), or a pixel and less than a voxel.
 

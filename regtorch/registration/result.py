@@ -25,9 +25,9 @@ class Registration:
     ``similarity`` is that of the finest level, between -1 and 1, and by ``hybrid`` with what the DRR does not explain
     marked down. ``starts`` is where the starts of a coarse level ended, best first, and ``start_similarity`` how well.
 
-    ``covariance`` is that of the nine parameters (mm, rad; 0 for frozen ones), as parts of the image disagree about
-    them, and ``error_rms_mm`` what it makes of the anatomy in the detector plane; None and not a number where the
-    similarity gives none.
+    ``covariance`` is that of the nine parameters (mm, rad), as parts of the image disagree about them; where some are
+    frozen, it holds besides how far all go once these are free. ``error_rms_mm`` is what it makes of the anatomy in the
+    detector plane. They are None and not a number where the similarity gives none.
     """
 
     parameters: Float[Tensor, "9"]

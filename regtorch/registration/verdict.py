@@ -73,6 +73,11 @@ def judge(problem: Problem, found: Found) -> tuple[Status, str]:
     )
     if gap < _LEAST_GAP:
         return "doubtful", f"another place matches as well to within {gap:.3f} of similarity"
+    if found.released is not None:
+        moved = float(problem.shift_mm(found.parameters + found.released, found.parameters))
+        if not moved <= _MOST_EXPECTED_MM:
+            frozen = ", ".join(key.rsplit("_", 1)[0] for i, key in enumerate(KEYS) if i not in problem.free)
+            return "doubtful", f"{frozen} may be wrong: once free, the anatomy moves by {moved:.1f} mm in the image"
     if found.covariance is not None:
         expected = root_mean_square_mm(problem, found.parameters, found.covariance)
         if not expected <= _MOST_EXPECTED_MM:

@@ -200,6 +200,22 @@ def test_what_is_frozen_stays(pair, free, moving):
     assert (found.parameters != pair.initial).nonzero().flatten().tolist() == moving
 
 
+def test_a_frozen_source_that_is_wrong_is_found_out(pair):
+    """The pair's start has another source than the truth: the expected error then holds what this does to the image."""
+    half_range = torch.tensor([40.0, 40, 80, 40, 40, 60, *[0.1] * 3], dtype=torch.float64)
+    right, wrong = (
+        register(pair.ct, pair.radiograph, "PA", method=SMALL, free=6, initial=initial, half_range=half_range)
+        for initial in (torch.cat([pair.truth.parameters[:3], pair.initial[3:]]), pair.initial)
+    )
+    assert right.status == "ok"
+    assert _pde_mm(pair, right.parameters) < 0.5
+    assert right.to_dict()["expected_pde_mm"] < 0.5
+    assert (right.covariance.diagonal()[:3].sqrt() < 20).all()
+    assert _pde_mm(pair, wrong.parameters) < wrong.to_dict()["pde_95_mm"]
+    error = (pair.truth.parameters - wrong.parameters).abs()[:3]
+    assert (wrong.covariance.diagonal()[:3].sqrt() > error / 2).all()
+
+
 @pytest.mark.parametrize(
     "without",
     [
