@@ -48,6 +48,14 @@ def _number(low: float | int, high: float | int, kind: type[float] | type[int] =
     return read
 
 
+def _angles(text: str) -> list[float]:
+    """One for all three, or each."""
+    each = [_number(0, 180)(part) for part in text.split(",")]
+    if len(each) not in (1, 3):
+        raise argparse.ArgumentTypeError(f"{text!r}, expected one number, or three with commas between them")
+    return each * (3 // len(each))
+
+
 _COORDINATE = _number(-1e5, 1e5)
 _HALF_RANGE_MM = _number(0, 1e4)
 _PIXEL_MM = _number(1e-3, 100)
@@ -134,8 +142,8 @@ def _add_ranges(add: Callable[..., Any], what: str, source: Sequence[int], patie
         text = f"half range of the {name}'s position {what} ({' '.join(map(str, default))})"
         kind = {"type": _HALF_RANGE_MM, "nargs": 3, "metavar": ("X", "Y", "Z")}
         add(f"--{name}-range-mm", **kind, default=default, help=text)
-    text = f"half range of each angle {what} ({deg})"
-    add("--rotation-range-deg", type=_number(0, 180), default=deg, metavar="DEG", help=text)
+    text = f"half range of each angle, or of eta, theta and phi, {what} ({deg})"
+    add("--rotation-range-deg", type=_angles, default=str(deg), metavar="DEG[,DEG,DEG]", help=text)
 
 
 def _add_seed_and_threads(add: Callable[..., Any]) -> None:

@@ -106,7 +106,7 @@ def _half_range(options: argparse.Namespace):
     """Nine numbers, mm and rad."""
     import torch
 
-    rotation = [math.radians(options.rotation_range_deg)] * 3
+    rotation = map(math.radians, options.rotation_range_deg)
     return torch.tensor([*options.source_range_mm, *options.patient_range_mm, *rotation], dtype=torch.float64)
 
 

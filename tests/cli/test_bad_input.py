@@ -30,6 +30,7 @@ BAD = [
     *((f"{SIMULATE} --photons {n}", f"'{n}'") for n in ("0", "-5", "nan", "1e30")),
     (f"{SIMULATE} --source-range-mm 1 -1 1", "'-1', expected a number from 0"),
     (f"{SIMULATE} --rotation-range-deg nan", "'nan'"),
+    (f"{SIMULATE} --rotation-range-deg 1,2", "'1,2', expected one number, or three"),
     # CT
     *(
         (f"{command} {rest}", f"{{i}}/{name}: {what}")

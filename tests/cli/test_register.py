@@ -70,6 +70,9 @@ def test_a_range_is_searched_and_zero_freezes(inputs, tmp_path, method):
     assert problem.free == [2, 3, 4, 5, 6, 7, 8]
     assert problem.half_range[:6].tolist() == [0, 0, 40, 75, 75, 150]
     assert torch.rad2deg(problem.half_range[6:]).tolist() == pytest.approx([3, 3, 3])
+    run(REGISTER.format(i=inputs, o=tmp_path) + " --rotation-range-deg 0,3,0.5")
+    assert torch.rad2deg(method.problems[-1].half_range[6:]).tolist() == pytest.approx([0, 3, 0.5])
+    assert method.problems[-1].free == [0, 1, 2, 3, 4, 5, 7, 8]
 
 
 def test_what_a_search_knows_of_its_errors_is_printed_and_written(inputs, tmp_path, method, capsys):
