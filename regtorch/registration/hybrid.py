@@ -20,9 +20,9 @@ from regtorch.registration.screening import SHIFTED, Candidates, screen
 from regtorch.registration.verdict import at_limit, convincing
 from regtorch.similarity import gradient_correlation
 
-_WEAK = 0.3
-"""The best start's mean similarity of bone and all tissue: 0.35 and more for right radiographs, up to 0.29 for another
-patient's, mirrored ones and those upside down, but for some that had a rival or lay at a limit of the range."""
+_WEAK = 0.2
+"""The best start's mean similarity of bone and all tissue: 0.3 and more for right radiographs of 350 mm, 0.2 for those
+of 150; for another patient's, mirrored ones and those upside down mostly less, but at times 0.4."""
 _LEAST_TISSUE = 3.0
 """All tissue of a CT in which soft tissue surrounds the bones, over what bone attenuates of it: from 3 on. Around dry
 bones there are but voxels that they fill in part; torsos have nine times as much."""
@@ -181,20 +181,17 @@ def hybrid(
         if float(pyramids[1][1].similarity(found.parameters[None])[0]) > trusted_similarity:
             other = finished(matcher(finest, whole), found.parameters, finest.steps, edges_px)
             found = other if other.plain_similarity > found.plain_similarity else found
-    error, moves = found.covariance, None
-    if len(problem.free) < len(found.parameters):
-        moves = released(by_bone, found.parameters, stages[0].steps)
-        error = error + moves.outer(moves)
+    frozen = len(problem.free) < len(found.parameters)
     return Found(
         parameters=found.parameters,
         similarity=found.similarity,
         starts=starts[0],
         start_similarity=starts[1],
         evaluations=tally.evaluations,
-        covariance=error,
+        covariance=found.covariance,
         weak_similarity=0.0 if alike else _WEAK,
         mirrored_similarity=_mirrored_similarity(problem, pyramids, (first, stages[0]), starts[0][0]),
-        released=moves,
+        released=released(by_bone, found.parameters, stages[0].steps) if frozen else None,
     )
 
 

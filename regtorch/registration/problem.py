@@ -109,10 +109,10 @@ class Problem:
 class Found:
     """The answer of a search method; ``starts`` (best first) and their similarities are those it chose the place by.
 
-    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any. Below ``weak_similarity`` the best
-    start is no better than those for another's anatomy may be, if the method knows how good these are.
-    ``mirrored_similarity`` is what the best start reaches with the radiograph mirrored, if the method has tried.
-    ``released`` is how far the nine parameters (mm, rad) go from there once those that are frozen may move, if any are.
+    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any, and ``released`` how far they go
+    from there once those that are frozen may move, if any are. Below ``weak_similarity`` the best start is no better
+    than those for another's anatomy, if the method knows how good these are. ``mirrored_similarity`` is what the best
+    start reaches with the radiograph mirrored, if the method has tried.
     """
 
     parameters: Float[Tensor, "9"]
@@ -121,6 +121,6 @@ class Found:
     start_similarity: Float[Tensor, " n"]
     evaluations: int
     covariance: Float[Tensor, "9 9"] | None = None
+    released: Float[Tensor, "9"] | None = None
     weak_similarity: float = 0.0
     mirrored_similarity: float = -1.0
-    released: Float[Tensor, "9"] | None = None
