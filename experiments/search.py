@@ -30,7 +30,7 @@ from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
 from experiments.table import append, done, keep, locked, parse_shard, table_name
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
-from regtorch.imaging import Radiograph, read_points, read_volume
+from regtorch.imaging import Radiograph, Volume, read_points, read_volume
 from regtorch.registration import initial_parameters, register
 from regtorch.simulation import Simulation, draw_parameters
 
@@ -90,6 +90,7 @@ class Study:
         self.detector = Detector(**config.detector)
         self.targets = _targets(config)
         self.cts = {Path(path).name: read_volume(path) for path in config.cts}
+        self.given = {name: _middle(ct, config.given) for name, ct in self.cts.items()}
 
     def row(self, case: Case, tell: Any = lambda text, refresh: None) -> dict[str, Any]:
         """Registers one case, and takes a picture of it where that is worth one."""
@@ -99,7 +100,7 @@ class Study:
         image = self.decoy(kind.removeprefix(_DECOY), truth, case) if decoy else truth.image
         radiograph = Radiograph.from_image(image, self.detector)
         result = register(
-            self.cts[ct],
+            self.given[ct],
             radiograph,
             view,
             method=instantiate(self.config.registration, _convert_="all"),
@@ -147,6 +148,18 @@ class Study:
             return self.radiograph(following, view, self.config.decoy_of, seed).image
 
         return instantiate(self.config.images[name])(right.image, other, torch.Generator().manual_seed(seed))
+
+
+def _middle(ct: Volume, share: float) -> Volume:
+    """A share of the slices of a CT; the origin of its parameters stays."""
+    if not 0 < share <= 1:
+        raise RegtorchError(f"given={share}: expected a share of the CT's slices, over 0 and at most 1")
+    along = int(ct.patient_from_voxel[2, :3].abs().argmax())
+    slices = ct.data.shape[2 - along]
+    first = round(slices * (1 - share) / 2)
+    patient_from_voxel = ct.patient_from_voxel.clone()
+    patient_from_voxel[:, 3] += first * patient_from_voxel[:, along]
+    return ct.on_grid(ct.data.narrow(2 - along, first, slices - 2 * first), patient_from_voxel)
 
 
 def _targets(config: DictConfig) -> dict[str, dict[str, tuple[float, float, float]]]:

@@ -92,6 +92,19 @@ def test_targets_are_those_of_a_folder_that_exists_or_of_none(ct, tmp_path):
         search.Study(_config(ct, tmp_path, f"targets={tmp_path / 'none'}"))
 
 
+def test_a_part_of_a_ct_is_the_same_anatomy_in_the_same_place(ct, tmp_path):
+    study = search.Study(_config(ct, tmp_path, "given=0.5"))
+    whole, part = study.cts["one.nii.gz"], study.given["one.nii.gz"]
+    n = whole.data.shape[0]
+    assert part.data.shape[0] == n - 2 * round(n / 4)
+    assert torch.equal(part.data, whole.data[round(n / 4) : n - round(n / 4)])
+    assert torch.equal(part.origin_patient_mm, whole.origin_patient_mm)
+    first = torch.tensor([0, 0, round(n / 4), 1], dtype=torch.float64)
+    assert torch.allclose(part.patient_from_voxel[:, 3], whole.patient_from_voxel @ first)
+    with pytest.raises(RegtorchError, match=r"given=0.0: expected a share"):
+        search.Study(_config(ct, tmp_path, "given=0.0"))
+
+
 def test_shards_share_the_cases_out_and_count_each_others(ct, tmp_path):
     shared = "kinds=[matched,unmoved]", "seeds=3"
     both = [search.table_and_cases(_config(ct, tmp_path, *shared, f"shard={i}/2"))[1] for i in (0, 1)]

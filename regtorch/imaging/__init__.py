@@ -7,6 +7,7 @@ from regtorch.imaging.radiograph import Radiograph, level
 from regtorch.imaging.radiograph_files import read_radiograph
 from regtorch.imaging.radiograph_writer import write_radiograph
 from regtorch.imaging.target_files import read_points
+from regtorch.imaging.truncation import continued
 from regtorch.imaging.volume import Volume
 from regtorch.imaging.volume_files import read_volume, write_volume
 
@@ -19,6 +20,7 @@ __all__ = [
     "check_radiograph",
     "check_volume",
     "coarsen",
+    "continued",
     "crop_to_anatomy",
     "level",
     "read_points",

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Volume, bone_contrast
+from regtorch.imaging import Volume, bone_contrast, continued
 from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
@@ -64,6 +64,9 @@ def hybrid(
     On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is marked down
     (``explained_weight``); on the second also from places beside it, along the flattest directions.
 
+    A CT that cuts the body has edges that a radiograph does not: all tissue is ``continued`` beyond it, and goes on so
+    where the radiograph agrees more than with the CT as it is, of which it may have been simulated.
+
     Where all tissue explained more than bone, of a CT that has soft tissue, this is in the radiograph too, and bone
     shows by its ``contrast`` to that (``bone_contrast``); else by all that it attenuates, as in a radiograph of bone
     alone.
@@ -101,13 +104,18 @@ def hybrid(
     alike = not soft_tissue or (alone.data.shape == whole.data.shape and torch.equal(alone.data, whole.data))
     bone = alone
     if contrast and not alike and bool(whole.data.sum() > _LEAST_TISSUE * alone.data.sum()):
-        beyond = bone_contrast(alone, threshold_hu=problem.threshold_hu)
-        bone = beyond if bool(beyond.data.any()) else alone
+        denser = bone_contrast(alone, threshold_hu=problem.threshold_hu)
+        bone = denser if bool(denser.data.any()) else alone
     pyramids = [pyramid(bone, (first, *stages))]
+    looking = list(pyramids)
     if not alike:
         pyramids.append(pyramid(whole, (first, stages[0])))
-    widest = [levels[0] for levels in pyramids]
+        beyond = continued(pyramids[1][1].level.volume, problem.field_mm / 2)
+        looking.append(pyramid(beyond, (first, stages[0])))
+    widest = [levels[0] for levels in looking]
     parameters, better = candidates(problem, widest, screening, poses, first, stages[0].candidates)
+    if not alike:
+        pyramids[1] = max(looking[1], pyramids[1], key=lambda levels: _highest(levels[0], parameters, first.steps // 3))
     if bone is not alone and not better:
         bone, pyramids[0] = alone, pyramid(alone, (first, *stages))
 
@@ -193,6 +201,10 @@ def hybrid(
         mirrored_similarity=_mirrored_similarity(problem, pyramids, (first, stages[0]), starts[0][0]),
         released=released(by_bone, found.parameters, stages[0].steps) if frozen else None,
     )
+
+
+def _highest(matcher: Matcher, places: Float[Tensor, "n 9"], steps: int) -> float:
+    return float(matcher.climb(places, steps).similarity.max())
 
 
 def _best_first(places: Float[Tensor, "n 9"], similarity: Float[Tensor, " n"]) -> tuple[Tensor, Tensor]:

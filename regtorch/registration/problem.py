@@ -58,6 +58,12 @@ class Problem:
         """Of the patient's middle in the image, at the start."""
         return float(self.initial[2] / (self.initial[2] - self.initial[5]))
 
+    @property
+    def field_mm(self) -> float:
+        """Longer side of what the image shows of the patient's middle, at the start."""
+        detector = self.radiograph.detector
+        return max(detector.rows, detector.columns) * detector.pixel_mm / self.magnification
+
     def embed(self, values: Float[Tensor, "*b d"]) -> Float[Tensor, "*b 9"]:
         """All nine parameters for values of the free ones."""
         parameters = self.initial.expand(*values.shape[:-1], len(NAMES)).clone()
