@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +22,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate, "report": _report}
     try:
-        return run[options.command](options)
+        code = run[options.command](options)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # whatever reads this has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _OK
     except (RegtorchError, OSError) as error:
         print(f"regtorch: error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT

@@ -1,6 +1,9 @@
 """A result beside the truth, on the command line."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -33,6 +36,16 @@ def test_evaluate_prints_and_writes(inputs, tmp_path, capfd):
     assert found["pde_mm"] == pytest.approx(3.5)
     assert found["parameter_errors"]["phi_deg"] == pytest.approx(-0.5)
     assert list(found["parameter_errors"]) == PARAMETERS
+
+
+def test_a_reader_that_has_read_enough_is_no_error(inputs):
+    good = inputs / "good"
+    reading, writing = os.pipe()
+    os.close(reading)
+    told = [sys.executable, "-m", "regtorch.cli", "evaluate", str(good / "result.json"), str(good / "truth.json")]
+    done = subprocess.run(told, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_evaluate_of_the_truth_itself_is_zero(inputs, capfd):
