@@ -152,14 +152,14 @@ class Study:
 
 def _middle(ct: Volume, share: float) -> Volume:
     """A share of the slices of a CT; the origin of its parameters stays."""
-    if not 0 < share <= 1:
-        raise RegtorchError(f"given={share}: expected a share of the CT's slices, over 0 and at most 1")
-    along = int(ct.patient_from_voxel[2, :3].abs().argmax())
-    slices = ct.data.shape[2 - along]
+    axis = ct.along_body
+    slices = ct.data.shape[2 - axis]
     first = round(slices * (1 - share) / 2)
+    if not 0 < slices - 2 * first <= slices:
+        raise RegtorchError(f"given={share}: expected a share of the CT's {slices} slices, at most 1")
     patient_from_voxel = ct.patient_from_voxel.clone()
-    patient_from_voxel[:, 3] += first * patient_from_voxel[:, along]
-    return ct.on_grid(ct.data.narrow(2 - along, first, slices - 2 * first), patient_from_voxel)
+    patient_from_voxel[:, 3] += first * patient_from_voxel[:, axis]
+    return ct.on_grid(ct.data.narrow(2 - axis, first, slices - 2 * first), patient_from_voxel)
 
 
 def _targets(config: DictConfig) -> dict[str, dict[str, tuple[float, float, float]]]:

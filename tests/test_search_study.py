@@ -101,8 +101,9 @@ def test_a_part_of_a_ct_is_the_same_anatomy_in_the_same_place(ct, tmp_path):
     assert torch.equal(part.origin_patient_mm, whole.origin_patient_mm)
     first = torch.tensor([0, 0, round(n / 4), 1], dtype=torch.float64)
     assert torch.allclose(part.patient_from_voxel[:, 3], whole.patient_from_voxel @ first)
-    with pytest.raises(RegtorchError, match=r"given=0.0: expected a share"):
-        search.Study(_config(ct, tmp_path, "given=0.0"))
+    for share in (0.0, 0.001, 1.5):
+        with pytest.raises(RegtorchError, match=rf"given={share}: expected a share"):
+            search.Study(_config(ct, tmp_path, f"given={share}"))
 
 
 def test_shards_share_the_cases_out_and_count_each_others(ct, tmp_path):

@@ -3,6 +3,7 @@
 import math
 
 import torch
+from torch import Tensor
 
 from regtorch.imaging.attenuation import BONE_HU, MU_WATER_PER_MM
 from regtorch.imaging.volume import Volume
@@ -13,20 +14,31 @@ _CUT = 0.1
 _SOFT_PER_MM = MU_WATER_PER_MM * (1 + BONE_HU / 1000)
 
 
-def continued(whole: Volume, beyond_mm: float) -> Volume:
-    """All tissue, and above and below, where the CT cuts the body, ``beyond_mm`` more of what lies there.
+def continued(whole: Volume, reach_mm: float) -> Volume:
+    """All tissue and, where the CT cuts the body, what lies there again and again, up to ``reach_mm`` from the origin.
 
-    As soft tissue at most, since the next bone is another one. The same volume where the CT cuts nothing.
+    As soft tissue at most, since the next bone is another one. The same volume where the CT cuts nothing or reaches far
+    enough.
     """
-    along = int(whole.patient_from_voxel[2, :3].abs().argmax())  # the voxel axis nearest to the patient's
-    data = whole.data.movedim(-1 - along, 0)
-    count = math.ceil(beyond_mm / float(whole.spacing_mm[along]))
+    axis = whole.along_body
+    data = whole.data.movedim(-1 - axis, 0)
+    origin = torch.linalg.solve(whole.patient_from_voxel, torch.cat([whole.origin_patient_mm, torch.ones(1).double()]))
+    slices = reach_mm / float(whole.spacing_mm[axis])
     least = _CUT * data.flatten(1).sum(1).max()
-    # The outermost slice may be air in part, where coarser voxels reach beyond the finer ones.
-    faces = (torch.maximum(data[end], data[beside]).clamp(max=_SOFT_PER_MM) for end, beside in ((0, 1), (-1, -2)))
-    below, above = (face.expand(count if face.sum() > least else 0, *face.shape) for face in faces)
+
+    def beyond(outermost: Tensor, lacking: float) -> Tensor:
+        """Copies of two slices together: the last may be air in part, where coarser voxels reach beyond finer ones."""
+        face = outermost.amax(0).clamp(max=_SOFT_PER_MM)
+        return face.expand(max(0, math.ceil(lacking)) if face.sum() > least else 0, *face.shape)
+
+    below = beyond(data[:2], slices - float(origin[axis]))
+    above = beyond(data[-2:], slices - (len(data) - 1 - float(origin[axis])))
     if len(below) + len(above) == 0:
         return whole
+    data = data.clone()
+    for end, copies in ((0, below), (-1, above)):
+        if len(copies):
+            data[end] = torch.maximum(data[end], copies[0])
     patient_from_voxel = whole.patient_from_voxel.clone()
-    patient_from_voxel[:, 3] -= len(below) * patient_from_voxel[:, along]
-    return whole.on_grid(torch.cat([below, data, above]).movedim(0, -1 - along).contiguous(), patient_from_voxel)
+    patient_from_voxel[:, 3] -= len(below) * patient_from_voxel[:, axis]
+    return whole.on_grid(torch.cat([below, data, above]).movedim(0, -1 - axis).contiguous(), patient_from_voxel)

@@ -56,6 +56,11 @@ class Volume:
         return torch.stack([self.spacing_mm, torch.tensor(self.sharpness, dtype=torch.float64)])
 
     @property
+    def along_body(self) -> int:
+        """Which voxel axis, i, j or k (0, 1, 2), is nearest to the patient's from feet to head."""
+        return int((self.patient_from_voxel[2, :3] / self.spacing_mm).abs().argmax())
+
+    @property
     def voxel_from_ct(self) -> Float[Tensor, "4 4"]:
         """From mm about the centre of the CT, along patient axes, to (i, j, k)."""
         patient_from_ct = torch.eye(4, dtype=torch.float64)

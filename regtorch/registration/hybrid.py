@@ -4,13 +4,14 @@ Soft tissue guides the search where the radiograph shows it; bone refines it, an
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Volume, bone_contrast, continued
+from regtorch.imaging import Volume, bone_contrast
 from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
@@ -107,15 +108,18 @@ def hybrid(
         denser = bone_contrast(alone, threshold_hu=problem.threshold_hu)
         bone = denser if bool(denser.data.any()) else alone
     pyramids = [pyramid(bone, (first, *stages))]
-    looking = list(pyramids)
+    goes_on = False
     if not alike:
-        pyramids.append(pyramid(whole, (first, stages[0])))
-        beyond = continued(pyramids[1][1].level.volume, problem.field_mm / 2)
-        looking.append(pyramid(beyond, (first, stages[0])))
-    widest = [levels[0] for levels in looking]
+        as_it_is = pyramid(whole, (first, stages[0]))
+        beyond = as_it_is[1].continued()
+        goes_on = beyond is not as_it_is[1]
+        pyramids.append([matcher(first, beyond.level.volume), beyond] if goes_on else as_it_is)
+    widest = [levels[0] for levels in pyramids]
     parameters, better = candidates(problem, widest, screening, poses, first, stages[0].candidates)
-    if not alike:
-        pyramids[1] = max(looking[1], pyramids[1], key=lambda levels: _highest(levels[0], parameters, first.steps // 3))
+    if goes_on:
+        ends, beyond_ends = (levels[0].climb(parameters, first.steps // 3) for levels in (as_it_is, pyramids[1]))
+        if float(ends.similarity.max()) > float(beyond_ends.similarity.max()):
+            goes_on, pyramids[1] = False, as_it_is
     if bone is not alone and not better:
         bone, pyramids[0] = alone, pyramid(alone, (first, *stages))
 
@@ -187,24 +191,26 @@ def hybrid(
     if not alike:
         problem.progress(0.9, "all tissue")
         if float(pyramids[1][1].similarity(found.parameters[None])[0]) > trusted_similarity:
-            other = finished(matcher(finest, whole), found.parameters, finest.steps, edges_px)
+            level = matcher(finest, whole)
+            level = level.continued() if goes_on else level
+            other = finished(level, found.parameters, finest.steps, edges_px)
             found = other if other.plain_similarity > found.plain_similarity else found
-    frozen = len(problem.free) < len(found.parameters)
+    error, moves = found.covariance, None
+    if len(problem.free) < len(found.parameters):
+        forgives_nothing = replace(end.matcher, gradients=pyramids[0][-1].gradients)
+        moves = released(forgives_nothing, end.parameters, stages[-1].steps)
+        error = error + moves.outer(moves)
     return Found(
         parameters=found.parameters,
         similarity=found.similarity,
         starts=starts[0],
         start_similarity=starts[1],
         evaluations=tally.evaluations,
-        covariance=found.covariance,
+        covariance=error,
         weak_similarity=0.0 if alike else _WEAK,
         mirrored_similarity=_mirrored_similarity(problem, pyramids, (first, stages[0]), starts[0][0]),
-        released=released(by_bone, found.parameters, stages[0].steps) if frozen else None,
+        released=moves,
     )
-
-
-def _highest(matcher: Matcher, places: Float[Tensor, "n 9"], steps: int) -> float:
-    return float(matcher.climb(places, steps).similarity.max())
 
 
 def _best_first(places: Float[Tensor, "n 9"], similarity: Float[Tensor, " n"]) -> tuple[Tensor, Tensor]:

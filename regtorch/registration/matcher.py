@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.drr import render
-from regtorch.imaging import Volume
+from regtorch.imaging import Volume, continued
 from regtorch.optimization.levenberg_marquardt import Ascent, levenberg_marquardt
 from regtorch.registration.objective import Level
 from regtorch.registration.problem import Problem
@@ -89,6 +89,11 @@ class Matcher:
         level = self.level
         width_mm = width_px * level.fixed.detector.pixel_mm / self.problem.magnification
         return replace(self, level=replace(level, volume=level.volume.with_edges(width_mm)))
+
+    def continued(self) -> "Matcher":
+        """The same level of a patient that goes on beyond the CT."""
+        volume = continued(self.level.volume, self.problem.reach_mm)
+        return self if volume is self.level.volume else replace(self, level=replace(self.level, volume=volume))
 
     def forgiving(self, parameters: Float[Tensor, "9"]) -> "Matcher":
         """The same level where pixels that the DRR of ``parameters`` does not explain count little."""

@@ -59,10 +59,11 @@ class Problem:
         return float(self.initial[2] / (self.initial[2] - self.initial[5]))
 
     @property
-    def field_mm(self) -> float:
-        """Longer side of what the image shows of the patient's middle, at the start."""
-        detector = self.radiograph.detector
-        return max(detector.rows, detector.columns) * detector.pixel_mm / self.magnification
+    def reach_mm(self) -> float:
+        """How far above and below the CT's origin the image may show the patient, wherever this may be."""
+        half_image = max(self.radiograph.detector.rows, self.radiograph.detector.columns) / 2
+        aside = float(self.initial[4].abs() + (self.half_range[4] if 4 in self.free else 0))
+        return half_image * self.radiograph.detector.pixel_mm + aside
 
     def embed(self, values: Float[Tensor, "*b d"]) -> Float[Tensor, "*b 9"]:
         """All nine parameters for values of the free ones."""
@@ -115,10 +116,10 @@ class Problem:
 class Found:
     """The answer of a search method; ``starts`` (best first) and their similarities are those it chose the place by.
 
-    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any, and ``released`` how far they go
-    from there once those that are frozen may move, if any are. Below ``weak_similarity`` the best start is no better
-    than those for another's anatomy, if the method knows how good these are. ``mirrored_similarity`` is what the best
-    start reaches with the radiograph mirrored, if the method has tried.
+    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any. It holds ``released``, how far
+    they go from there once those that are frozen may move, if any are. Below ``weak_similarity`` the best start is no
+    better than those for another's anatomy, if the method knows how good these are. ``mirrored_similarity`` is what the
+    best start reaches with the radiograph mirrored, if the method has tried.
     """
 
     parameters: Float[Tensor, "9"]

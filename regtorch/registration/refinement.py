@@ -1,5 +1,6 @@
 """The local stage: the last climbs of a level, which forgive what bone does not explain, and the finest level's."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.registration.matcher import Matcher
-from regtorch.registration.uncertainty import covariance
+from regtorch.registration.uncertainty import covariance, root_mean_square_mm
 
 _NEAR = 1e-5
 """First damping of a climb that begins near its end: more would keep SDD and ODD, which hardly matter, from moving."""
@@ -63,12 +64,17 @@ def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: in
 def released(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:
     """How far the nine parameters go from where they fit best once those that are frozen may move as well.
 
-    Where what is frozen is right, noise moves them along the flattest directions, which hardly moves the image. Where
-    it is not, this tells about how far off the image is.
+    Less what noise makes of it where what is frozen is right: the covariance of all nine, where they end. Where it is
+    wrong this tells about how far off the image is.
     """
-    problem = matcher.problem.released()
-    held = matcher.problem.embed(matcher.climb(parameters[None], steps, _NEAR).x)
-    return problem.embed(replace(matcher, problem=problem).climb(held, 2 * steps).x)[0] - held[0]
+    all_free = matcher.problem.released()
+    held = refined(matcher, parameters, steps).parameters
+    free = replace(matcher, problem=all_free)
+    end = all_free.embed(free.climb(held[None], 2 * steps).x)[0]
+    moves = end - held
+    moved = root_mean_square_mm(all_free, held, moves.outer(moves))
+    noise = root_mean_square_mm(all_free, end, covariance(free, end))
+    return moves * math.sqrt(max(0.0, 1 - (noise / moved) ** 2)) if 0 < moved < math.inf else moves
 
 
 def best_edges_px(matcher: Matcher, parameters: Float[Tensor, "9"]) -> tuple[float, Matcher]:

@@ -100,10 +100,7 @@ def register(
     )
     found = method(problem)
     status, message = judge(problem, found)
-    covariance = found.covariance
-    if covariance is not None and found.released is not None:
-        covariance = covariance + found.released.outer(found.released)
-    error = nan if covariance is None else root_mean_square_mm(problem, found.parameters, covariance)
+    error = nan if found.covariance is None else root_mean_square_mm(problem, found.parameters, found.covariance)
     image_from_patient = pixel_from_patient(found.parameters, detector, view, ct.origin_patient_mm)
     return Registration(
         parameters=found.parameters,
@@ -120,7 +117,7 @@ def register(
         starts=found.starts,
         start_similarity=found.start_similarity,
         evaluations=found.evaluations,
-        covariance=covariance,
+        covariance=found.covariance,
         error_rms_mm=error,
         origin_patient_mm=ct.origin_patient_mm,
         seconds=time.perf_counter() - began,

@@ -26,8 +26,8 @@ class Registration:
     marked down. ``starts`` is where the starts of a coarse level ended, best first, and ``start_similarity`` how well.
 
     ``covariance`` is that of the nine parameters (mm, rad), as parts of the image disagree about them; where some are
-    frozen, it holds besides how far all go once these are free. ``error_rms_mm`` is what it makes of the anatomy in the
-    detector plane. They are None and not a number where the similarity gives none.
+    frozen and do not fit, it holds besides how far all go once these are free. ``error_rms_mm`` is what it makes of the
+    anatomy in the detector plane. They are None and not a number where the method or the similarity gives none.
     """
 
     parameters: Float[Tensor, "9"]

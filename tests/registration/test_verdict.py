@@ -67,16 +67,15 @@ def test_doubtful_where_the_image_disagrees_with_itself(pair):
 
 
 def test_doubtful_where_what_is_frozen_seems_wrong(pair):
-    problem = pair.problem(PATIENT)
     moves = torch.zeros(9, dtype=torch.float64)
     moves[0], moves[3] = 30, -5  # mm: of source and patient
-    found = replace(_found(pair, [0, 0], [0.5, 0.5]), released=moves)
-    moved = float(problem.shift_mm(found.parameters + moves, found.parameters))
-    assert moved > 4
-    status, message = judge(problem, found)
+    found = replace(_found(pair, [0, 0], [0.5, 0.5]), covariance=moves.outer(moves), released=moves)
+    status, message = judge(pair.problem(PATIENT), found)
     assert status == "doubtful"
-    assert message == f"x_s, y_s, z_s may be wrong: once free, the anatomy moves by {moved:.1f} mm in the image"
-    assert judge(problem, replace(found, released=moves / 100))[0] == "ok"
+    assert message.startswith("x_s, y_s, z_s may be wrong: by how the others move once these are free, an error of ")
+    spread = 100 * torch.eye(9, dtype=torch.float64)
+    assert "parts of the image" in judge(pair.problem(PATIENT), replace(found, covariance=spread))[1]
+    assert judge(pair.problem(PATIENT), replace(found, covariance=moves.outer(moves) / 1e4))[0] == "ok"
 
 
 def test_warns_of_the_flat_direction_and_of_a_runner_up_one_vertebra_off(pair):
