@@ -12,7 +12,7 @@ from regtorch.errors import RegtorchError
 from regtorch.files import write_text
 from regtorch.output import print_evaluation, print_result, progress_bar, to_json, write_json
 
-_OK, _NOT_SURE, _INTERRUPTED = 0, 3, 130
+_OK, _NOT_SURE, _INTERRUPTED, _BROKEN_PIPE = 0, 3, 130, 141
 _DEMO_PHOTONS = 2e5
 _RESULTS = ("result.json", "overlay.png")
 
@@ -21,19 +21,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
     options = parser().parse_args(arguments)
     run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate, "report": _report}
+    code = _BROKEN_PIPE
     try:
         code = run[options.command](options)
         sys.stdout.flush()
-        return code
     except BrokenPipeError:  # whatever reads this has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _OK
     except (RegtorchError, OSError) as error:
         print(f"regtorch: error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("regtorch: interrupted, nothing written", file=sys.stderr)
         return _INTERRUPTED
+    return code
 
 
 def _use_threads(threads: int | None) -> None:

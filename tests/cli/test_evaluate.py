@@ -38,14 +38,16 @@ def test_evaluate_prints_and_writes(inputs, tmp_path, capfd):
     assert list(found["parameter_errors"]) == PARAMETERS
 
 
-def test_a_reader_that_has_read_enough_is_no_error(inputs):
+@pytest.mark.parametrize(("unbuffered", "code"), [("", 0), ("1", 141)], ids=["when done", "before"])
+def test_a_reader_that_has_read_enough_gets_no_message(inputs, unbuffered, code):
     good = inputs / "good"
     reading, writing = os.pipe()
     os.close(reading)
     told = [sys.executable, "-m", "regtorch.cli", "evaluate", str(good / "result.json"), str(good / "truth.json")]
-    done = subprocess.run(told, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(told, stdout=writing, stderr=subprocess.PIPE, text=True, check=False, env=environment)
     os.close(writing)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr) == (code, "")
 
 
 def test_evaluate_of_the_truth_itself_is_zero(inputs, capfd):
