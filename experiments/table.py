@@ -44,10 +44,10 @@ def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts:
 
     Settings that are ``parts`` by name may get further ones. Raises ``RegtorchError`` where one is not as kept there.
     """
-    own = {key: value for key, value in OmegaConf.to_container(config).items() if key not in cases}
+    own = {key: value for key, value in OmegaConf.to_container(config, resolve=True).items() if key not in cases}
     kept = folder / SETTINGS
     if kept.exists():
-        before = OmegaConf.to_container(OmegaConf.load(kept))
+        before = OmegaConf.to_container(OmegaConf.load(kept), resolve=True)
         changed = [key for key in own | before if key not in parts and own.get(key) != before.get(key)]
         for key in parts:
             old = before.get(key, {})

@@ -19,7 +19,12 @@ from regtorch.report import report
 from tests.studies import simulation_rows
 
 _ROOT = Path(__file__).parent.parent
-_STUDIES = [path for path in sorted((_ROOT / "results").iterdir()) if path.is_dir()]
+_RESULTS = _ROOT / "results"
+_STUDIES = sorted(
+    path
+    for path in (*_RESULTS.iterdir(), *(_RESULTS / "simulation_ablations").iterdir())
+    if path.is_dir() and path.name != "simulation_ablations"
+)
 
 
 class Page(HTMLParser):
@@ -146,24 +151,24 @@ def test_pictures_are_of_the_rows_own_arm_ct_view_kind_and_seed(tmp_path):
     assert heights(tmp_path / "hybrid") == [8]
 
 
-@pytest.mark.parametrize("study", _STUDIES, ids=lambda path: path.name)
+@pytest.mark.parametrize("study", _STUDIES, ids=lambda path: str(path.relative_to(_RESULTS)))
 def test_every_study_of_the_project_has_a_report(study):
     page = _check_alone(report(study))
     assert page.sources or page.rows
 
 
 def test_groups_are_those_that_a_study_has():
-    header, *lines = Page(report(_ROOT / "results" / "accuracy")).rows[:7]
+    header, *lines = Page(report(_RESULTS / "accuracy")).rows[:7]
     assert header[:4] == ["view", "dof", "radiograph_threshold_hu", "n"]
     assert lines[0][:4] == ["LAT", "6", "100", "10"]
     assert lines[2][:4] == ["LAT", "9", "none", "10"]
-    header, *lines = Page(report(_ROOT / "results" / "search")).rows[:9]
+    header, *lines = Page(report(_RESULTS / "search")).rows[:9]
     assert header[:3] == ["ct", "view", "kind"]
     assert lines[0][:3] == ["acrin_abdomen_pelvis", "LAT", "matched"]
 
 
 def test_decoys_have_no_pde_and_no_figures():
-    page = Page(report(_ROOT / "results" / "decoys"))
+    page = Page(report(_RESULTS / "decoys"))
     assert page.sources == []
     assert page.rows[1][page.rows[0].index("PDE")] == ""
 
