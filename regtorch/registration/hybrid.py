@@ -16,7 +16,7 @@ from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, candidates, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher, Tally
 from regtorch.registration.problem import MIRROR, Found, Problem
-from regtorch.registration.refinement import End, along_the_flat, best_edges_px, finished, refined, released
+from regtorch.registration.refinement import End, along_the_flat, best_edges_px, finished, gain, refined, released
 from regtorch.registration.screening import SHIFTED, Candidates, screen
 from regtorch.registration.verdict import at_limit, convincing
 from regtorch.similarity import gradient_correlation
@@ -29,6 +29,8 @@ _LEAST_TISSUE = 3.0
 bones there are but voxels that they fill in part; torsos have nine times as much."""
 _MORE = 8
 """How many times as many poses are screened where the first do not convince."""
+_CONFINED = 1.3
+"""What is gained by marking down what bone does not explain, below which more poses are screened."""
 _GENERATIONS = 60
 """Of CMA-ES on the first level, where these do not either."""
 _AS_THEY_ARE = 1e-3
@@ -60,8 +62,8 @@ def hybrid(
     with bone alone, and the mean of bone's similarity and that of all tissue ranks them: ``Found.starts``. Where no two
     of them agree on the best place, or another is nearly as good, eight times as many poses are screened besides; and
     where that does not help, CMA-ES searches on from the best places. The best goes on, and where it still does not
-    convince a few others with it, fewer on each level. Where it convinced and yet ends at a limit of the range, more
-    poses are screened after all.
+    convince a few others with it, fewer on each level. Where it convinced and yet ends at a limit of the range, or what
+    it does not explain is everywhere in the image (``gain``), more poses are screened after all.
     On each level, and on the ``finest``, the best one then climbs again, where what it did not explain is marked down
     (``explained_weight``); on the second also from places beside it, along the flattest directions.
 
@@ -181,7 +183,7 @@ def hybrid(
     if not enough:
         starts = looked_further(by_bone, *starts)
     end = sharpened(*starts)
-    if enough and at_limit(problem, end.parameters):
+    if enough and (at_limit(problem, end.parameters) or gain(pyramids[0][-1], end) < _CONFINED):
         known, starts = starts[0][0], looked_further(by_bone, *starts)
         if not torch.equal(known, starts[0][0]):
             end = sharpened(*starts)
@@ -210,6 +212,7 @@ def hybrid(
         weak_similarity=0.0 if alike else _WEAK,
         mirrored_similarity=_mirrored_similarity(problem, pyramids, (first, stages[0]), starts[0][0]),
         released=moves,
+        gain=gain(pyramids[0][-1], end),
     )
 
 

@@ -1,5 +1,6 @@
 """What every search method is given: the pair, where to begin, how far to look, and what may move."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -119,7 +120,8 @@ class Found:
     ``covariance`` is that of the nine parameters (mm, rad), if the method knows any. It holds ``released``, how far
     they go from there once those that are frozen may move, if any are. Below ``weak_similarity`` the best start is no
     better than those for another's anatomy, if the method knows how good these are. ``mirrored_similarity`` is what the
-    best start reaches with the radiograph mirrored, if the method has tried.
+    best start reaches with the radiograph mirrored, if the method has tried. ``gain`` is how many times as similar the
+    answer is once what it does not explain is marked down, if the method does that.
     """
 
     parameters: Float[Tensor, "9"]
@@ -131,3 +133,4 @@ class Found:
     released: Float[Tensor, "9"] | None = None
     weak_similarity: float = 0.0
     mirrored_similarity: float = -1.0
+    gain: float = math.inf

@@ -18,6 +18,9 @@ _NEAR = 1e-5
 _NARROWER = 0.8
 """What an edge is of a voxel at most that is to look unlike a linear one."""
 
+_CLEAR = 0.7
+"""Bone's similarity, from which there is little in the image besides."""
+
 _FLATTEST, _LOSSES, _LEAST_CURVATURE = 2, (0.01, 0.04), 1e-12
 
 
@@ -40,6 +43,18 @@ def refined(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: int) -> E
     """Where a climb ends from there."""
     climbed = forgiving.climb(parameters[None], steps, _NEAR)
     return End(forgiving.problem.embed(climbed.x[0]), float(climbed.similarity[0]), forgiving)
+
+
+def gain(plain: Matcher, end: End) -> float:
+    """How many times as similar bone is once what it does not explain is marked down; infinite where that is little.
+
+    From 1.38 on in 90 right radiographs of three torsos. In a wrong place what bone does not explain is everywhere, so
+    that marking it down gains little: 0.8 to 1.4 mostly, 1.14 in one that all else spoke for.
+    """
+    before = float(replace(end.matcher, gradients=plain.gradients).similarity(end.parameters[None])[0])
+    if before >= _CLEAR:
+        return math.inf
+    return end.similarity / before if before > 0 else 0.0
 
 
 def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:

@@ -25,6 +25,9 @@ _STRONG, _OVER_MIRRORED = 0.4, 0.06
 more for right radiographs, but 0.02 for those of a thorax that the CT holds half of; 0.02 for another patient's on
 which all starts agreed. Nothing else has the same contrast, noise and field, and fits nowhere."""
 
+_EVERYWHERE = 1.2
+"""Gained by marking down what bone does not explain, below which that is everywhere: see ``refinement.gain``."""
+
 _MOST_EXPECTED_MM = 3.0
 """Root mean square: 95 % of such errors are below 5 mm, within which a vertebra is the right one."""
 
@@ -84,6 +87,9 @@ def judge(problem: Problem, found: Found) -> tuple[Status, str]:
         expected = root_mean_square_mm(problem, found.parameters, found.covariance)
         if not expected <= _MOST_EXPECTED_MM:
             return "doubtful", _why(problem, found, expected)
+    if found.gain < _EVERYWHERE:
+        known = f"marked down, that makes bone only {found.gain:.2f} times as similar"
+        return "doubtful", f"what bone does not explain is everywhere ({known}): it may lie elsewhere"
     if count == total:
         return "ok", f"all {total} starts agree"
     return "ok", f"{count} of {total} starts agree, the next best place is {gap:.2f} lower in similarity"

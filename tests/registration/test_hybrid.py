@@ -16,7 +16,7 @@ from regtorch.registration import register
 from regtorch.registration.candidates import evolved
 from regtorch.registration.hybrid import Stage, hybrid
 from regtorch.registration.matcher import Matcher, Tally
-from regtorch.registration.refinement import best_edges_px
+from regtorch.registration.refinement import End, best_edges_px, gain
 from regtorch.registration.screening import _peaks, screen, screen_one_by_one
 from regtorch.simulation import simulate
 
@@ -114,6 +114,24 @@ def test_voxels_of_siddons_method_have_edges_narrower_than_themselves(pair):
     assert edges == {"siddon": pytest.approx(0.8 * matcher.voxel_px), "joseph": math.inf}
 
 
+def test_marking_down_what_is_not_explained_gains_much_where_that_is_confined(pair):
+    """Nothing to gain where all is explained, much with a quarter of the image spoilt, little with all of it."""
+    truth, image = pair.truth.parameters, pair.radiograph.image
+    spoils = 0.5 * image.max() * torch.rand(image.shape, generator=torch.Generator().manual_seed(0))
+    quarter = torch.zeros_like(spoils)
+    quarter[:50, :40] = 1
+    gains = []
+    for added in (0 * spoils, quarter * spoils, spoils):
+        problem = pair.problem(list(range(9)), radiograph=Radiograph.from_image(image + added, DETECTOR))
+        plain = Matcher.of(problem, 100, 1.3, problem.attenuating, Tally())
+        forgiving = plain.forgiving(truth)
+        end = End(truth, float(forgiving.similarity(truth[None])[0]), forgiving)
+        gains.append(gain(plain, end))
+    assert gains[0] == math.inf
+    assert gains[1] > 1.5
+    assert gains[2] < 1.2
+
+
 def test_bone_no_denser_than_the_threshold_is_found(pair):
     """It has no contrast to soft tissue that is just less dense."""
     hu = pair.ct.data
@@ -134,9 +152,14 @@ def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
     assert "screening 320 poses more" in told
 
 
-def test_more_poses_are_looked_at_where_the_answer_ends_at_a_limit(pair, monkeypatch):
+@pytest.mark.parametrize(
+    ("seen", "value"),
+    [("at_limit", [0]), ("gain", 1.25)],
+    ids=["a limit of the range", "tissue unexplained everywhere"],
+)
+def test_more_poses_are_looked_at_where_the_answer_does_not_convince(pair, monkeypatch, seen, value):
     """However well the first ones agreed."""
-    monkeypatch.setattr("regtorch.registration.hybrid.at_limit", lambda problem, parameters: [0])
+    monkeypatch.setattr(f"regtorch.registration.hybrid.{seen}", lambda problem, parameters: value)
     told = []
     settings = {"initial": pair.truth.parameters + FAR, "half_range": HALF_RANGE}
     settings["progress"] = lambda share, what: told.append(what)

@@ -78,6 +78,15 @@ def test_doubtful_where_what_is_frozen_seems_wrong(pair):
     assert judge(pair.problem(PATIENT), replace(found, covariance=moves.outer(moves) / 1e4))[0] == "ok"
 
 
+def test_doubtful_where_what_bone_does_not_explain_is_everywhere(pair):
+    found = _found(pair, [0, 0], [0.5, 0.5])
+    assert judge(pair.problem(ALL), replace(found, gain=1.3))[0] == "ok"
+    status, message = judge(pair.problem(ALL), replace(found, gain=1.1))
+    assert status == "doubtful"
+    assert "everywhere" in message
+    assert "1.10 times" in message
+
+
 def test_warns_of_the_flat_direction_and_of_a_runner_up_one_vertebra_off(pair):
     problem = pair.problem(ALL)
     spread = torch.zeros(9, 9, dtype=torch.float64)
