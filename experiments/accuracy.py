@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-import numba
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from experiments.command import told_in_one_line
+from experiments.command import told_in_one_line, use_threads
 from experiments.rows import accuracy_of, cost_of, nine_parameters
-from experiments.table import append, done, keep, locked
+from experiments.table import append, done, keep, locked, refuse_to_mix
 from regtorch.geometry import Detector
 from regtorch.imaging import Radiograph, Volume, read_volume
 from regtorch.registration import initial_parameters, register
@@ -35,12 +34,11 @@ def main(config: DictConfig) -> None:
 
 def run(config: DictConfig) -> None:
     """Does what is missing."""
-    torch.set_num_threads(config.threads)
-    numba.set_num_threads(config.threads)
+    use_threads(config.threads)
     ct = read_volume(config.ct)
     folder = Path(config.out)
     table = folder / "registrations.csv"
-    keep(config, folder, _CASES)
+    refuse_to_mix(config, folder, _CASES)
     cases = [
         (Path(config.ct).name, view, arm.dof, arm.radiograph_threshold_hu, seed)
         for arm in config.arms
@@ -52,6 +50,7 @@ def run(config: DictConfig) -> None:
         for case in bar:
             if tuple("" if value is None else str(value) for value in case) not in made:
                 row = dict(zip(_KEY, case, strict=True)) | _registered(ct, config, *case[1:], bar.set_postfix_str)
+                keep(config, folder, _CASES)
                 append(table, row)
 
 

@@ -17,9 +17,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.command import told_in_one_line
 from experiments.table import parse_shard, refuse_to_mix, table_name
-from regtorch.arguments import LEAST_PIXELS, MOST_PIXELS
 from regtorch.errors import RegtorchError
 from regtorch.geometry import VIEWS
+from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
 from regtorch.registration.hybrid import hybrid
 from regtorch.similarity import gradient_correlation
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-import numba
 import torch
 from hydra.utils import instantiate
 from jaxtyping import Float
@@ -24,10 +23,10 @@ from omegaconf import DictConfig
 from torch import Tensor
 from tqdm import tqdm
 
-from experiments.command import told_in_one_line
+from experiments.command import told_in_one_line, use_threads
 from experiments.failures import went_wrong, write_picture
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
-from experiments.table import append, done, keep, locked, parse_shard, table_name
+from experiments.table import append, done, keep, locked, parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph, Volume, read_points, read_volume
@@ -42,6 +41,7 @@ COLUMNS = (
 )  # fmt: skip
 _DECOY = "decoy_"
 _CASES = ("cts", "views", "kinds", "decoys", "seeds", "first_seed", "shard", "pictures", "threads", "out")
+_PARTS = ("radiographs", "images")
 
 Case = tuple[str, str, str, int]
 
@@ -54,17 +54,18 @@ def main(config: DictConfig) -> None:
 
 def run(config: DictConfig) -> None:
     """Does what is missing of the shard."""
-    torch.set_num_threads(config.threads)
-    numba.set_num_threads(config.threads)
+    use_threads(config.threads)
     table, own = table_and_cases(config)
     folder = Path(config.out)
+    refuse_to_mix(config, folder, _CASES, parts=_PARTS)
     study = Study(config)
-    keep(config, folder, _CASES, parts=("radiographs", "images"))
     with locked(folder / table), tqdm(own, unit="registration", mininterval=1) as bar:
         made = done(folder, KEY)
         for case in bar:
             if tuple(map(str, case)) not in made:
-                append(folder / table, study.row(case, bar.set_postfix_str))
+                row = study.row(case, bar.set_postfix_str)
+                keep(config, folder, _CASES, parts=_PARTS)
+                append(folder / table, row)
 
 
 def table_and_cases(config: DictConfig) -> tuple[str, list[Case]]:

@@ -19,20 +19,18 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-import numba
 import torch
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from experiments.checks import CASES, component
-from experiments.command import told_in_one_line
+from experiments.command import told_in_one_line, use_threads
 from experiments.data import read
 from experiments.failures import FAILED_MM, went_wrong, write_picture
 from experiments.geometries import Geometries, bone_voxels, centred, misplacement
 from experiments.merge import KEY
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
 from experiments.table import append, done, keep, locked, parse_shard, refuse_to_mix, table_name
-from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph
 from regtorch.registration import register
@@ -55,10 +53,7 @@ def main(config: DictConfig) -> None:
 
 def run(config: DictConfig) -> None:
     """Does what is missing of the shard."""
-    if config.threads > numba.config.NUMBA_NUM_THREADS:
-        raise RegtorchError(f"threads={config.threads}: expected at most {numba.config.NUMBA_NUM_THREADS} here")
-    torch.set_num_threads(config.threads)
-    numba.set_num_threads(config.threads)
+    use_threads(config.threads)
     folder = Path(config.out) / config.arm
     refuse_to_mix(config, folder, CASES)
     study = Study(config) if _missing(config, folder) else None

@@ -81,6 +81,7 @@ def locked(table: Path) -> Iterator[None]:
 
     Raises ``RegtorchError`` where another process has it.
     """
+    table.parent.mkdir(parents=True, exist_ok=True)
     with table.with_name(f".{table.name}.lock").open("w") as file:
         try:
             if fcntl is not None:

@@ -8,10 +8,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from regtorch import __version__
+from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
 
 BAD_INPUT = 2
-LEAST_PIXELS, MOST_PIXELS = 8, 10_000
-"""A side of a radiograph: less shows nothing to register, more does not fit into memory."""
 
 _VIEWS = ("PA", "AP", "LAT", "LLAT", "RLAT")
 _VIEW_HELP = f"{', '.join(_VIEWS)} (LAT is LLAT: left side on the detector)"
@@ -68,7 +67,8 @@ def parser() -> argparse.ArgumentParser:
     top = _Parser(
         prog="regtorch",
         description="Registers one radiograph to one CT: where source, patient and detector stood, nine parameters.",
-        epilog="Exit codes: 0 done; 2 bad input or usage, nothing written; 3 done, but doubtful or failed.",
+        epilog="Exit codes: 0 done; 2 bad input or usage, nothing written; 3 done, but doubtful or failed; "
+        "130 interrupted, nothing written; 141 what reads the output has ended.",
     )
     top.add_argument("--version", action="version", version=f"regtorch {__version__}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
@@ -103,7 +103,7 @@ def parser() -> argparse.ArgumentParser:
     add("--method", default="hybrid", choices=("hybrid", "cmaes", "pycma"), help=text)
     add("--pixel-mm", type=_PIXEL_MM, metavar="MM", help="pixel size; overrules the file's")
     add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance to begin with (the file's, else 1000)")
-    _add_ranges(add, "searched about the start, 0 to freeze", (75, 75, 150), (75, 75, 150), 12)
+    _add_ranges(add, "searched about the start, 0 to freeze", (75, 75, 150), (150, 150, 150), 12)
     add("--landmark-ct", type=_COORDINATE, nargs=3, metavar=("X", "Y", "Z"), help="a point of the CT, LPS mm ...")
     where = ("COLUMN", "ROW")
     add("--landmark-radiograph", type=_COORDINATE, nargs=2, metavar=where, help="... and the pixel of the file there")
@@ -115,7 +115,7 @@ def parser() -> argparse.ArgumentParser:
         type=_COORDINATE,
         default=100.0,
         metavar="HU",
-        help="below, the CT counts as air (%(default)g)",
+        help="from where on it is bone; hybrid looks at all tissue as well (%(default)g)",
     )
     add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} to show in overlay.png and tell the error to expect at")
     _add_seed_and_threads(add)

@@ -1,4 +1,5 @@
-"""Command line: demo, simulate, register, evaluate, report. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed."""
+"""Command line: demo, simulate, register, evaluate, report. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed,
+130 interrupted, 141 not read to the end."""
 
 import argparse
 import math
@@ -7,9 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from regtorch.arguments import BAD_INPUT, LEAST_PIXELS, parser
+from regtorch.arguments import BAD_INPUT, parser
 from regtorch.errors import RegtorchError
-from regtorch.files import write_text
+from regtorch.files import one_line, write_text
 from regtorch.output import print_evaluation, print_result, progress_bar, to_json, write_json
 
 _OK, _NOT_SURE, _INTERRUPTED, _BROKEN_PIPE = 0, 3, 130, 141
@@ -29,6 +30,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (RegtorchError, OSError) as error:
         print(f"regtorch: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return BAD_INPUT
+    except (MemoryError, RuntimeError) as error:
+        if not (isinstance(error, MemoryError) or "allocate" in str(error)):  # as torch says it
+            raise
+        print(f"regtorch: error: out of memory: expected smaller input ({one_line(error)})", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("regtorch: interrupted, nothing written", file=sys.stderr)
@@ -71,7 +77,7 @@ def _demo(options: argparse.Namespace) -> int:
         write_radiograph(folder / "radiograph.tiff", simulation.image, DETECTOR, view=options.view)
         write_json(folder / "truth.json", simulation.to_dict())
         radiograph = read_radiograph(folder / "radiograph.tiff", view=options.view)
-        result = _registered(options, folder, ct, radiograph, simulation.targets, [])
+        result = _registered(options, folder, ct, radiograph, simulation.targets)
     print_result(result)
     print_evaluation(evaluate(result.to_dict(), simulation.to_dict()))
     print(f"see {Path(options.out) / 'overlay.png'}")
@@ -118,7 +124,7 @@ def _half_range(options: argparse.Namespace):
 
 def _register(options: argparse.Namespace) -> int:
     from regtorch.files import output_folder
-    from regtorch.imaging import check_radiograph, check_volume, read_points, read_radiograph, read_volume
+    from regtorch.imaging import read_points, read_radiograph, read_volume
 
     _use_threads(options.threads)
     if (options.landmark_ct is None) != (options.landmark_radiograph is None):
@@ -132,19 +138,12 @@ def _register(options: argparse.Namespace) -> int:
             mirrored={"auto": None, "yes": True, "no": False}[options.mirrored],
             mask=options.mask,
         )
-        rows, columns = radiograph.image.shape
-        if min(rows, columns) < LEAST_PIXELS:
-            raise RegtorchError(
-                f"{options.radiograph}: {rows} x {columns} pixels, expected at least {LEAST_PIXELS} each way"
-            )
         targets = read_points(options.targets) if options.targets else {}
         if options.landmark_ct is not None:
             targets = {**targets, "landmark": tuple(options.landmark_ct)}
         ct = read_volume(options.ct)
-        warnings = [f"{options.ct}: {line}" for line in check_volume(ct)]
-        warnings += [f"{options.radiograph}: {line}" for line in check_radiograph(radiograph)]
         result = _registered(
-            options, folder, ct, radiograph, targets, warnings,
+            options, folder, ct, radiograph, targets,
             free=options.dof, half_range=_half_range(options), sdd_mm=options.sdd_mm,
             threshold_hu=options.threshold_hu, method=options.method,
             landmark_patient_mm=options.landmark_ct and tuple(options.landmark_ct),
@@ -155,29 +154,26 @@ def _register(options: argparse.Namespace) -> int:
     return _OK if result.status == "ok" else _NOT_SURE
 
 
-def _registered(
-    options: argparse.Namespace, folder: Path, ct, radiograph, targets, warnings: list[str], method="hybrid", **settings
-):
+def _registered(options: argparse.Namespace, folder: Path, ct, radiograph, targets, method="hybrid", **settings):
     """Register with a progress bar, write result.json and overlay.png."""
     from functools import partial
 
     from regtorch import optimization
-    from regtorch.drr import render
-    from regtorch.imaging import BONE_HU, attenuation
+    from regtorch.imaging import BONE_HU, attenuation, crop_to_anatomy
     from regtorch.plotting import write_overlay
     from regtorch.registration import register
     from regtorch.registration.evolution import evolution
     from regtorch.registration.hybrid import hybrid
 
     methods = {"hybrid": hybrid, "cmaes": evolution, "pycma": partial(evolution, optimizer=optimization.pycma)}
-    with progress_bar(warnings=warnings) as progress:
+    with progress_bar() as progress:
         result = register(
             ct, radiograph, options.view, method=methods[method], seed=options.seed, progress=progress, **settings
         )
     write_json(folder / "result.json", result.to_dict() | _expected_errors(result, targets))
-    bone = attenuation(ct, threshold_hu=settings.get("threshold_hu", BONE_HU))
-    moving = render(bone, result.parameters, radiograph.detector, options.view)
-    write_overlay(folder / "overlay.png", radiograph, result, moving, targets)
+    threshold_hu = settings.get("threshold_hu", BONE_HU)
+    bone = attenuation(crop_to_anatomy(ct, threshold_hu=threshold_hu), threshold_hu=threshold_hu)
+    write_overlay(folder / "overlay.png", bone, radiograph, result, targets)
     return result
 
 

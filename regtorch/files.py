@@ -1,6 +1,7 @@
-"""Output folders that are written whole or not at all, and the text files in them."""
+"""Output that is written whole or not at all: folders, files, messages of one line."""
 
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -38,12 +39,35 @@ def output_folder(path: str | Path, names: Iterable[str] = ()) -> Iterator[Path]
         _remove_empty(missing)
 
 
+@contextmanager
+def written_whole(path: Path, suffix: str) -> Iterator[Path]:
+    """A temporary file beside ``path`` that takes its place when the block ends well and vanishes when it does not.
+
+    Raises ``RegtorchError`` where ``path`` cannot be written.
+    """
+    if path.exists() and not path.is_file():
+        raise RegtorchError(f"{path}: no ordinary file, expected one to write to")
+    temporary = path.with_name(f".{path.name.removesuffix(suffix)}-{secrets.token_hex(4)}{suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except (OSError, RuntimeError) as error:
+        why = getattr(error, "strerror", None) or one_line(error)
+        raise RegtorchError(f"{path}: {why}, expected a file to write to") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def write_text(path: Path, text: str) -> None:
     """Raises ``RegtorchError`` where ``path`` cannot be written."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RegtorchError(f"{path}: {error.strerror}, expected a file to write to") from None
+    with written_whole(path, path.suffix) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def one_line(text: object, longest: int = 160) -> str:
+    """``text`` without line breaks, cut to ``longest`` characters: other libraries' messages are long."""
+    line = " ".join(str(text).split())
+    return line if len(line) <= longest else line[: longest - 3] + "..."
 
 
 def _remove_empty(folders: list[Path]) -> None:

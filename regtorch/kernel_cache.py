@@ -1,16 +1,24 @@
 """Compiled kernels are kept beside their files; numba does not see when a kernel that they call has changed."""
 
 import contextlib
+import hashlib
 from pathlib import Path
+
+_STAMP = "kernels.sha256"
 
 
 def forget_stale_kernels() -> None:
-    """Remove what was compiled from files named ``cpu``, or in folders of that name, before one of them changed."""
+    """Remove what was compiled from files named ``cpu``, or in folders of that name, when they were not as they are."""
     package = Path(__file__).parent
-    sources = [*package.rglob("cpu.py"), *package.rglob("cpu/*.py")]
-    newest = max(file.stat().st_mtime for file in sources)
-    folders = {file.parent / "__pycache__" for file in sources}
-    with contextlib.suppress(OSError):  # another process may be at it, too, or the folder may be read-only
-        for index in [index for folder in folders for index in folder.glob("*.nbi")]:
-            if index.stat().st_mtime < newest:
-                index.unlink()
+    sources = sorted([*package.rglob("cpu.py"), *package.rglob("cpu/*.py")])
+    now = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()
+    stamp = package / "__pycache__" / _STAMP
+    with contextlib.suppress(OSError):
+        if stamp.read_text() == now:
+            return
+    for index in {index for file in sources for index in (file.parent / "__pycache__").glob("*.nbi")}:
+        with contextlib.suppress(OSError):  # another process may be at it, too, or the folder may be read-only
+            index.unlink()
+    with contextlib.suppress(OSError):
+        stamp.parent.mkdir(exist_ok=True)
+        stamp.write_text(now)

@@ -2,8 +2,7 @@
 
 import json
 import math
-import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,18 +11,11 @@ from regtorch.files import write_text
 
 
 @contextmanager
-def progress_bar(what: str = "", warnings: Iterable[str] = ()) -> Iterator[Callable[[float, str], None]]:
-    """What to call with the share of the work that is done and what comes next; shown on stderr, on a terminal only.
-
-    The ``warnings`` are printed at the first call: only then is all input known to be good.
-    """
+def progress_bar(what: str = "") -> Iterator[Callable[[float, str], None]]:
+    """What to call with the share of the work that is done and what comes next; shown on stderr, on a terminal only."""
     from tqdm import tqdm
 
-    pending = list(warnings)
-
     def progress(share: float, what: str) -> None:
-        while pending:
-            tqdm.write(f"regtorch: warning: {pending.pop(0)}", file=sys.stderr)
         bar.set_description_str(what, refresh=False)
         bar.update(round(100 * share, 1) - bar.n)
 

@@ -1,6 +1,7 @@
 """Pictures of a registration."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,29 +11,33 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from regtorch.drr import render
 from regtorch.geometry import project
-from regtorch.imaging import Radiograph
+from regtorch.imaging import Radiograph, Volume
 from regtorch.imaging.orientation import turned
+from regtorch.imaging.radiograph import level
 from regtorch.registration import Registration
 
-_INCHES, _DPI = 8.0, 120
+_INCHES, _DPI, _PIXELS = 8.0, 120, 1000
 _EDGE = np.array([1.0, 0.6, 0.1])  # orange over grey: told apart by colour-blind readers
 _STATUS_COLOURS = {"ok": "#0072b2", "doubtful": "#e69f00", "failed": "#d55e00"}
 
 
 def write_overlay(
     path: str | Path,
+    attenuating: Volume,
     radiograph: Radiograph,
     registration: Registration,
-    moving: Float[Tensor, "h w"],
     targets: Mapping[str, tuple[float, float, float]],
 ) -> None:
-    """Save the radiograph as its file shows it, the edges of the DRR ``moving`` over it, and the targets with names.
+    """Save the radiograph as its file shows it, the edges of the bones where they were found, and named targets.
 
-    ``moving`` is the DRR at the solution on the radiograph's detector, seen from the source; targets are in LPS mm.
+    ``attenuating`` (1/mm) is what edges are drawn of; targets are in LPS mm.
     """
-    pixel_from_stored = torch.linalg.inv(radiograph.stored_from_pixel)
-    grey = turned(radiograph.image, pixel_from_stored).numpy()
+    shown = level(replace(radiograph, weight=torch.ones_like(radiograph.weight)), _PIXELS)
+    moving = render(attenuating, registration.parameters, shown.detector, registration.view)
+    pixel_from_stored = torch.linalg.inv(shown.stored_from_pixel)
+    grey = turned(shown.image, pixel_from_stored).numpy()
     edges = turned(edge_strength(moving), pixel_from_stored).numpy()
     low, high = np.quantile(grey, (0.005, 0.995))
     picture = np.clip((grey - low) / max(high - low, 1e-12), 0, 1)[..., None].repeat(3, axis=2)
@@ -42,10 +47,13 @@ def write_overlay(
     figure = Figure(figsize=(_INCHES, _INCHES * rows / columns + 0.5), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    axes.imshow(picture, interpolation="antialiased")
+    rows, columns = shown.image.shape
+    corners = torch.tensor([[-0.5, columns - 0.5], [-0.5, rows - 0.5], [1, 1]], dtype=torch.float64)
+    (left, right), (top, bottom) = (shown.stored_from_pixel[:2] @ corners).sort().values.tolist()
+    axes.imshow(picture, interpolation="antialiased", extent=(left, right, bottom, top))
     points = torch.tensor(list(targets.values()), dtype=torch.float64).reshape(-1, 3)
     for name, (column, row) in zip(targets, project(registration.pixel_from_patient, points).tolist(), strict=True):
-        if 0 <= column < columns and 0 <= row < rows:
+        if left <= column <= right and top <= row <= bottom:
             axes.plot(column, row, "+", color="#56b4e9", markersize=9, markeredgewidth=1.8)
             axes.annotate(
                 name, (column, row), (6, 4), textcoords="offset points", color="#56b4e9", fontsize=10, weight="bold"

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from regtorch.errors import RegtorchError
-from regtorch.files import output_folder
+from regtorch.files import output_folder, write_text
 
 
 def _contents(folder: Path) -> list[str]:
@@ -62,6 +62,14 @@ def test_a_path_under_a_file_is_refused_at_once(tmp_path, below):
     assert "\n" not in str(caught.value)
     assert _contents(tmp_path) == ["file"]
     assert file.read_text() == "a file"
+
+
+def test_texts_are_written_whole_and_only_to_ordinary_files(tmp_path):
+    write_text(tmp_path / "a.json", "old")
+    write_text(tmp_path / "a.json", "new")
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a.json", "new")]
+    with pytest.raises(RegtorchError, match="no ordinary file"):
+        write_text(tmp_path, "text")
 
 
 def test_a_name_that_no_folder_can_have_is_refused_and_leaves_no_parents(tmp_path):

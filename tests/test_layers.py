@@ -13,21 +13,32 @@ FOLDER = Path(regtorch.__file__).parent
 BELOW = {
     "errors": set(),
     "kernel_cache": set(),
+    "limits": set(),
     "files": {"errors"},
     "geometry": {"errors"},
     "optimization": {"errors"},  # knows no X-rays
-    "imaging": {"errors", "geometry"},
+    "imaging": {"errors", "files", "geometry"},
     "phantom": {"errors", "geometry", "imaging"},
     "drr": {"errors", "geometry", "imaging"},
     "similarity": {"errors", "geometry", "imaging"},
     "scoring": {"errors", "geometry", "imaging", "drr", "similarity"},
     "evaluation": {"errors", "geometry", "imaging"},
     "simulation": {"errors", "geometry", "imaging", "drr"},
-    "registration": {"errors", "geometry", "imaging", "drr", "similarity", "scoring", "evaluation", "optimization"},
+    "registration": {
+        "errors",
+        "limits",
+        "geometry",
+        "imaging",
+        "drr",
+        "similarity",
+        "scoring",
+        "evaluation",
+        "optimization",
+    },
 }
 BELOW["plotting"] = set(BELOW) - {"files"}
 BELOW["report"] = {"errors"}  # of tables and pictures alone
-BELOW["arguments"] = {"errors"}  # of the command line
+BELOW["arguments"] = {"errors", "limits"}  # of the command line
 BELOW["output"] = {"files"}
 BELOW["cli"] = set(BELOW)
 

@@ -13,11 +13,13 @@ from regtorch.imaging.dicom_radiograph import SDD_RANGE_MM
 from regtorch.imaging.radiograph import Radiograph
 from regtorch.imaging.volume import Volume
 
+_TISSUE_HU, _PADDING_HU = -300, -1500
+
 
 def check_volume(volume: Volume) -> list[str]:
     """What looks wrong with a CT in HU."""
     found = []
-    every = max(1, volume.data.numel() // 1_000_000)
+    every = max(1, volume.data.numel() // 250_000)
     values = volume.data.flatten()[::every]
     lowest, highest = (float(v) for v in values.quantile(torch.tensor([0.005, 0.999], dtype=values.dtype)))
     air = float((values < -500).float().mean())
@@ -31,6 +33,9 @@ def check_volume(volume: Volume) -> list[str]:
     # The densest thousandth of any bone that a radiograph shows is beyond 300 HU, contrast or not.
     elif highest < 200:
         found.append(f"no bone: the highest values are about {highest:.0f} HU, where bone has 300 and more")
+    elif not found and (cut := _cut_at_the_sides(volume)) > 0.4:
+        share = f"{100 * cut:.0f} % of the lines through it end there"
+        found.append(f"the body is cut at a side ({share}): only to head and foot the search lets it go on")
     sizes = volume.spacing_mm.tolist()
     if min(sizes) < 0.1 or max(sizes) > 5.01:
         size = " x ".join(f"{s:g}" for s in sizes)
@@ -41,10 +46,13 @@ def check_volume(volume: Volume) -> list[str]:
     return found
 
 
-def check_radiograph(radiograph: Radiograph) -> list[str]:
-    """What reading found and what looks wrong with the image as line integrals, bone bright."""
+def check_radiograph(radiograph: Radiograph, *, sdd_known: bool = False) -> list[str]:
+    """What reading found and what looks wrong with the image as line integrals, bone bright.
+
+    An SDD that is known from elsewhere is not missed in the file.
+    """
     found = list(radiograph.warnings)
-    found += _check_geometry(radiograph)
+    found += _check_geometry(radiograph, sdd_known)
     used = radiograph.weight > 0
     share = float(used.float().mean())
     if share < 0.2:
@@ -60,11 +68,29 @@ def check_radiograph(radiograph: Radiograph) -> list[str]:
     return found + (_check_tone(filled) or _check_grey(values))
 
 
-def _check_geometry(radiograph: Radiograph) -> list[str]:
+def _cut_at_the_sides(volume: Volume) -> float:
+    """The share of lines across the body that have tissue where the CT, or what scanners pad it with, ends.
+
+    The largest of the four sides. A couch or an arm alone has up to a fifth.
+    """
+    along = 2 - volume.along_body
+    shares = [0.0]
+    for across in {0, 1, 2} - {along}:
+        lines = volume.data.movedim(across, -1)
+        lines = lines[tuple(slice(None, None, max(1, n // 64)) for n in lines.shape[:2])]
+        crossing = (lines > _TISSUE_HU).any(-1)
+        for side in (lines, lines.flip(-1)):
+            outermost = side.gather(-1, (side > _PADDING_HU).int().argmax(-1, keepdim=True))[..., 0]
+            shares.append(float(((outermost > _TISSUE_HU) & crossing).sum() / crossing.sum().clamp(min=1)))
+    return max(shares)
+
+
+def _check_geometry(radiograph: Radiograph, sdd_known: bool) -> list[str]:
     found = []
     low, high = SDD_RANGE_MM
     if radiograph.sdd_mm is None:
-        found.append("no source-detector distance (SDD) in the file")
+        if not sdd_known:
+            found.append("no source-detector distance (SDD) in the file")
     elif not low <= radiograph.sdd_mm <= high:
         found.append(f"source-detector distance (SDD) of {radiograph.sdd_mm:g} mm: expected {low:g} to {high:g} mm")
     pixel = radiograph.detector.pixel_mm

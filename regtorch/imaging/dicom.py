@@ -12,7 +12,8 @@ from numpy import ndarray
 from pydicom import Dataset
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging.files import native_silence, one_line
+from regtorch.files import one_line
+from regtorch.imaging.files import native_silence
 
 
 @contextmanager

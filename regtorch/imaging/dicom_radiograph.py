@@ -52,10 +52,11 @@ def read_dicom(path: Path, view: str, intensity: str, pixel_mm: float | None) ->
         if not meaning.of_stored:
             values = stored * np.float32(number(header, "RescaleSlope") or 1)
         _check_view(header, view, found)
+        stated_mm = _pixel_mm(path, header, found if pixel_mm is None else [])
         return StoredRadiograph(
             values,
             meaning,
-            pixel_mm if pixel_mm is not None else _pixel_mm(path, header, found),
+            stated_mm if pixel_mm is None else pixel_mm,
             _sdd_mm(header, found),
             _orientation(header, found),
             _padding(header, stored),
@@ -96,6 +97,7 @@ def _pixel_mm(path: Path, header: Dataset, found: list[str]) -> float | None:
         elif words(header, keyword):
             found.append(f"{keyword} is {'/'.join(words(header, keyword))}, which is no size")
     if not sizes:
+        _check_aspect(path, header)
         return None
     used, (row, column) = next(iter(sizes.items()))
     if abs(row / column - 1) > 0.01:
@@ -106,6 +108,13 @@ def _pixel_mm(path: Path, header: Dataset, found: list[str]) -> float | None:
     if used == "PixelSpacing" and (words(header, "PixelSpacingCalibrationType") or header.get("Modality") in _FLUORO):
         found.append(f"only PixelSpacing ({row:g} mm) is stated, which may be calibrated within the patient")
     return (row + column) / 2
+
+
+def _check_aspect(path: Path, header: Dataset) -> None:
+    """How high a pixel is to its width, which is stated where no size is."""
+    aspect = numbers(header, "PixelAspectRatio")
+    if len(aspect) == 2 and min(aspect) > 0 and abs(aspect[0] / aspect[1] - 1) > 0.01:
+        raise RegtorchError(f"{path}: PixelAspectRatio {aspect[0]:g}/{aspect[1]:g} is oblong, expected square pixels")
 
 
 def _sdd_mm(header: Dataset, found: list[str]) -> float | None:

@@ -11,8 +11,8 @@ from numpy import ndarray
 from pydicom import Dataset
 
 from regtorch.errors import RegtorchError
+from regtorch.files import one_line
 from regtorch.imaging.dicom import number, numbers, quiet, read_header, read_pixels, words
-from regtorch.imaging.files import one_line
 from regtorch.imaging.volume import Volume
 
 _KEYWORDS = [

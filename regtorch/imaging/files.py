@@ -1,19 +1,12 @@
-"""Files as every reader and writer here needs them: kinds, whole or not at all, messages of one line."""
+"""What kind a file is, and other libraries' messages about it."""
 
 import os
-import secrets
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from regtorch.errors import RegtorchError
-
-
-def one_line(text: object, longest: int = 160) -> str:
-    """``text`` without line breaks, cut to ``longest`` characters: other libraries' messages are long."""
-    line = " ".join(str(text).split())
-    return line if len(line) <= longest else line[: longest - 3] + "..."
 
 
 def is_dicom(path: Path) -> bool:
@@ -23,19 +16,6 @@ def is_dicom(path: Path) -> bool:
             return file.read(132)[128:] == b"DICM"
     except OSError as error:
         raise RegtorchError(f"{path}: cannot be read ({error.strerror}), expected a file one may read") from error
-
-
-@contextmanager
-def written_whole(path: Path, suffix: str) -> Iterator[Path]:
-    """A temporary file beside ``path`` that takes its place when the block ends well and vanishes when it does not."""
-    temporary = path.with_name(f".{path.name.removesuffix(suffix)}-{secrets.token_hex(4)}{suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except (OSError, RuntimeError) as error:
-        raise RegtorchError(f"{path}: cannot be written ({one_line(error)}), expected a folder to write in") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

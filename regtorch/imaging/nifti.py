@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging.files import one_line
+from regtorch.files import one_line
 
 _FLOATS = {16: "f4", 64: "f8"}
 _BLOCK = 1 << 22

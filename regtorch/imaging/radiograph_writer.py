@@ -14,8 +14,8 @@ from pydicom.uid import DigitalXRayImageStorageForProcessing, ExplicitVRLittleEn
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
+from regtorch.files import written_whole
 from regtorch.geometry import Detector
-from regtorch.imaging.files import written_whole
 from regtorch.imaging.orientation import directions
 from regtorch.imaging.radiograph_files import METADATA_KEY
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging.files import one_line
+from regtorch.files import one_line
 
 Point = tuple[float, float, float]
 

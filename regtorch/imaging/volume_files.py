@@ -7,8 +7,9 @@ import SimpleITK
 import torch
 
 from regtorch.errors import RegtorchError
+from regtorch.files import one_line, written_whole
 from regtorch.imaging.dicom_volume import read_dicom_folder
-from regtorch.imaging.files import is_dicom, native_silence, one_line, written_whole
+from regtorch.imaging.files import is_dicom, native_silence
 from regtorch.imaging.nifti import check_nifti
 from regtorch.imaging.volume import Volume
 

@@ -1,4 +1,4 @@
-"""Derivative-free search of many starts at once. Knows nothing of X-rays: torch tensors in, torch tensors out."""
+"""Search of many starts at once. Knows nothing of X-rays: torch tensors in, torch tensors out."""
 
 from regtorch.optimization.cma_es import cma_es
 from regtorch.optimization.optimum import Optimum

@@ -89,7 +89,9 @@ def released(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Fl
     moves = end - held
     moved = root_mean_square_mm(all_free, held, moves.outer(moves))
     noise = root_mean_square_mm(all_free, end, covariance(free, end))
-    return moves * math.sqrt(max(0.0, 1 - (noise / moved) ** 2)) if 0 < moved < math.inf else moves
+    if not (0 < moved < math.inf and noise < math.inf):
+        return moves
+    return moves * math.sqrt(max(0.0, 1 - (noise / moved) ** 2))
 
 
 def best_edges_px(matcher: Matcher, parameters: Float[Tensor, "9"]) -> tuple[float, Matcher]:

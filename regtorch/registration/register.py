@@ -10,8 +10,17 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.geometry import free_indices, pixel_from_patient, project
-from regtorch.imaging import BONE_HU, Radiograph, Volume, attenuation, crop_to_anatomy
+from regtorch.imaging import (
+    BONE_HU,
+    Radiograph,
+    Volume,
+    attenuation,
+    check_radiograph,
+    check_volume,
+    crop_to_anatomy,
+)
 from regtorch.imaging.points import spread_points
+from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
 from regtorch.registration.hybrid import hybrid
 from regtorch.registration.initial import SEARCH, Point2, Point3, initial_parameters
 from regtorch.registration.objective import Similarity
@@ -47,9 +56,10 @@ def register(
     the others keep their values of ``initial``, which is made from view and protocol unless given
     (``initial_parameters``). The SDD comes from ``sdd_mm``, else from the radiograph's file, else is 1000 mm. A
     landmark is a point of the CT (LPS mm) and the (column, row) of the file where it is seen. ``half_range`` is how
-    far from ``initial`` to look (mm, rad); 0 freezes. Voxels below ``threshold_hu`` count as air (None: none).
-    ``method`` is ``hybrid``, which always takes gradient correlation, or ``evolution``, the paper's, or a ``partial``
-    of either; ``similarity`` is one of ``regtorch.similarity``.
+    far from ``initial`` to look (mm, rad); 0 freezes. From ``threshold_hu`` on it is bone, and the rest counts as air
+    (None: all counts); ``hybrid`` looks at all tissue as well. ``method`` is ``hybrid``, which always takes gradient
+    correlation, or ``evolution``, the paper's, or a ``partial`` of either; ``similarity`` is one of
+    ``regtorch.similarity``: how good a match is can be told of gradient correlation alone.
 
     The same seed gives the same result. Raises ``RegtorchError`` for input that cannot be registered; a registration
     that went wrong is no error but has the status ``failed`` or ``doubtful``, and says why.
@@ -58,6 +68,10 @@ def register(
     if not 0 <= seed < 2**32:
         raise RegtorchError(f"seed {seed}: expected a whole number from 0 to {2**32 - 1}")
     detector = radiograph.detector
+    _check_size(radiograph)
+    for name, given in (("initial", initial), ("half_range", half_range)):
+        if given is not None and not (given.shape == (9,) and bool(given.isfinite().all())):
+            raise RegtorchError(f"{name} of {given.tolist()}: expected nine finite numbers")
     moving = free_indices(free)
     if detector.centre_mm != (0.0, 0.0):
         raise RegtorchError(
@@ -65,6 +79,9 @@ def register(
         )
     if initial is not None and not (sdd_mm is landmark_patient_mm is landmark_stored is None):
         raise RegtorchError("initial parameters as well as an SDD or a landmark: expected either")
+    sdd_known = not (initial is None and sdd_mm is None)
+    looks_wrong = [f"{ct.name}: {line}" for line in check_volume(ct)]
+    looks_wrong += [f"{radiograph.name}: {line}" for line in check_radiograph(radiograph, sdd_known=sdd_known)]
     if initial is None:
         landmark = None if landmark_stored is None else _unstored(radiograph, landmark_stored)
         initial = initial_parameters(
@@ -79,7 +96,7 @@ def register(
         attenuation(crop_to_anatomy(ct, threshold_hu=least), threshold_hu=least) for least in (threshold_hu, None)
     )
     half_range = torch.tensor(SEARCH) if half_range is None else half_range
-    if not bool(((half_range >= 0) & half_range.isfinite()).all()):
+    if not bool((half_range >= 0).all()):
         raise RegtorchError(f"half range {half_range.tolist()}: expected numbers from 0 (frozen) on")
     moving = [index for index in moving if half_range[index] > 0]
     if not moving:
@@ -112,7 +129,7 @@ def register(
         pixel_from_patient=radiograph.stored_from_pixel @ image_from_patient,
         status=status,
         message=message,
-        warnings=warnings(problem, found),
+        warnings=(*looks_wrong, *warnings(problem, found)),
         similarity=found.similarity,
         starts=found.starts,
         start_similarity=found.start_similarity,
@@ -124,6 +141,14 @@ def register(
         device=str(attenuating.data.device),
         seed=seed,
     )
+
+
+def _check_size(radiograph: Radiograph) -> None:
+    """Of what counts: where all is masked, or outside the field, the pyramid says so."""
+    sides = [int(radiograph.weight.amax(dim).count_nonzero()) for dim in (1, 0)]
+    if 0 < min(sides) < LEAST_PIXELS or max(radiograph.image.shape) > MOST_PIXELS:
+        shape = " x ".join(map(str, sides if min(sides) < LEAST_PIXELS else radiograph.image.shape))
+        raise RegtorchError(f"{radiograph.name}: {shape} pixels, expected {LEAST_PIXELS} to {MOST_PIXELS} each way")
 
 
 def _unstored(radiograph: Radiograph, stored: Point2) -> Point2:

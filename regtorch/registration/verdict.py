@@ -10,6 +10,7 @@ from regtorch.geometry import KEYS, pixel_from_patient, project
 from regtorch.registration.problem import Found, Problem
 from regtorch.registration.result import Status
 from regtorch.registration.uncertainty import root_mean_square_mm
+from regtorch.similarity import gradient_correlation
 
 _AGREE_MM = 20.0
 """Starts that project the anatomy this close to each other have found the same place on the second level."""
@@ -61,6 +62,8 @@ def judge(problem: Problem, found: Found) -> tuple[Status, str]:
     if not (best >= _LEAST_SIMILARITY and math.isfinite(found.similarity)):
         return "failed", f"similarity {best:.3f} at best: the images do not match anywhere in the range"
     known = f"similarity {found.mirrored_similarity:.2f} instead of {best:.2f}"
+    if problem.similarity is not gradient_correlation:
+        return "doubtful", "how good a match is can be told of gradient correlation alone"
     if found.mirrored_similarity > best:
         return "doubtful", f"mirrored, the radiograph matches better ({known}): it may show the other side"
     if limited := at_limit(problem, found.parameters):

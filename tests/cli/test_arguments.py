@@ -1,11 +1,16 @@
 """What the commands understand, and what they say about themselves."""
 
+import math
 import subprocess
 import sys
 
 import pytest
 
 from regtorch.arguments import parser
+from regtorch.geometry import VIEWS, Detector
+from regtorch.imaging import BONE_HU
+from regtorch.registration.initial import SEARCH
+from regtorch.simulation.simulate import DETECTOR, RANGES
 
 from .commands import REGISTER
 
@@ -32,6 +37,20 @@ sys.exit(f"loads {heavy}" if heavy else 0)
         "0.1.0",
     ):
         assert word in done.stdout
+
+
+def test_what_is_said_of_defaults_is_what_the_package_does():
+    """The command line knows them by heart, so as to load nothing heavy."""
+    found = parser().parse_args(REGISTER.split())
+    angles = [math.radians(deg) for deg in found.rotation_range_deg]
+    assert [*found.source_range_mm, *found.patient_range_mm, *angles] == pytest.approx(SEARCH)
+    assert found.threshold_hu == BONE_HU
+    made = parser().parse_args(["simulate", "CT", "--view", "PA", "--out", "DIR"])
+    angles = [math.radians(deg) for deg in made.rotation_range_deg]
+    assert [*made.source_range_mm, *made.patient_range_mm, *angles] == pytest.approx(RANGES)
+    assert Detector(made.rows, made.columns, made.pixel_mm) == DETECTOR
+    for view in VIEWS:
+        assert parser().parse_args(f"demo --view {view}".split()).view == view
 
 
 @pytest.mark.parametrize("x", ["-10", "-1e1", "-1E+1", "-.1e2", "-10."])

@@ -129,7 +129,7 @@ BAD = [
     (f"{EVALUATE} {{i}}/truth_ap.json", "{i}/good/result.json and {i}/truth_ap.json: view PA"),
     (f"{EVALUATE} {{i}}/truth_detector.json", "{i}/good/result.json and {i}/truth_detector.json: detector"),
     (f"{EVALUATE} {{i}}/good/truth.json --json {{o}}/none/out.json", "/none/out.json: No such file or directory"),
-    (f"{EVALUATE} {{i}}/good/truth.json --json {{i}}/empty", "{i}/empty: Is a directory"),
+    (f"{EVALUATE} {{i}}/good/truth.json --json {{i}}/empty", "{i}/empty: no ordinary file"),
 ]
 
 

@@ -34,8 +34,9 @@ def test_register_writes_the_result_of_the_contract_and_an_overlay(inputs, tmp_p
     assert np.shape(result["pixel_from_patient"]) == (3, 4)
     assert Image.open(folder / "overlay.png").size[0] > 500
     assert out.startswith("ok: all 3 starts agree")
-    assert all(line.startswith("regtorch: warning: ") for line in err.splitlines())
-    assert "6 x 6 x 6 mm" in err
+    assert err == ""
+    assert "warning: ct.nii.gz: voxels of 6 x 6 x 6 mm" in out
+    assert any("6 x 6 x 6 mm" in line for line in result["warnings"])
 
 
 @pytest.mark.parametrize(("similarity", "status", "code"), [(0.5, "ok", 0), (0.01, "failed", 3)])
@@ -68,7 +69,7 @@ def test_a_range_is_searched_and_zero_freezes(inputs, tmp_path, method):
     run(REGISTER.format(i=inputs, o=tmp_path) + " --source-range-mm 0 0 40 --rotation-range-deg 3")
     problem = method.problems[-1]
     assert problem.free == [2, 3, 4, 5, 6, 7, 8]
-    assert problem.half_range[:6].tolist() == [0, 0, 40, 75, 75, 150]
+    assert problem.half_range[:6].tolist() == [0, 0, 40, 150, 150, 150]
     assert torch.rad2deg(problem.half_range[6:]).tolist() == pytest.approx([3, 3, 3])
     run(REGISTER.format(i=inputs, o=tmp_path) + " --rotation-range-deg 0,3,0.5")
     assert torch.rad2deg(method.problems[-1].half_range[6:]).tolist() == pytest.approx([0, 3, 0.5])
@@ -91,6 +92,19 @@ def test_what_a_search_knows_of_its_errors_is_printed_and_written(inputs, tmp_pa
     printed = capsys.readouterr().out
     assert "warning: SDD and ODD can hardly be told apart: SDD +- 50 mm" in printed
     assert "+- 50.000" in printed
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory")]
+)
+def test_too_little_memory_is_told_in_one_line(inputs, tmp_path, method, capsys, error):
+    def search(problem):
+        raise error
+
+    method.search = search
+    assert run(REGISTER.format(i=inputs, o=tmp_path)) == 2
+    assert capsys.readouterr().err.startswith("regtorch: error: out of memory")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_method_pycma_searches_by_the_package(inputs, tmp_path, method, monkeypatch):

@@ -41,6 +41,7 @@ def test_faults_of_a_ct() -> None:
         "nearly empty": nothing,
         "no bone": sound.with_data(sound.data.clamp(max=60)),
         "voxels of 1 x 1 x 8 mm": made_ct((1.0, 1.0, 8.0)),
+        "the body is cut at a side (100 %": sound.on_grid(sound.data[:, :, 8:], sound.patient_from_voxel),
         "gaps between slices: 1.25 mm thick but 2 mm apart": made_ct(thickness=1.25),
     }
     for message, volume in faults.items():

@@ -158,6 +158,7 @@ REFUSALS = {
     "no pixel size in the file, expected the detector's by --pixel-mm": {"ImagerPixelSpacing": None},
     "no size.*--pixel-mm": {"ImagerPixelSpacing": None, "PixelSpacing": [0, 0]},
     "0.2 x 0.3 mm is oblong": {"ImagerPixelSpacing": [0.2, 0.3]},
+    "PixelAspectRatio 2/1 is oblong": {"ImagerPixelSpacing": None, "PixelAspectRatio": [2, 1]},
     "pixels cannot be decoded": {"PixelData": b"1234"},
     "a DICOM file without an image": {"Rows": None},
 }
@@ -293,7 +294,7 @@ def test_refused_writing(tmp_path: Path) -> None:
         "expected 6 x 5": (tmp_path / "a.png", image, Detector(6, 5, 1.0)),
         "expected a whole one": (tmp_path / "a.png", image, Detector(5, 6, 1.0, (1.0, 0.0))),
         "NaN or infinite": (tmp_path / "a.png", image / 0, Detector(5, 6, 1.0)),
-        "cannot be written": (tmp_path / "nowhere" / "a.tiff", image, Detector(5, 6, 1.0)),
+        "No such file or directory": (tmp_path / "nowhere" / "a.tiff", image, Detector(5, 6, 1.0)),
     }.items():
         with pytest.raises(RegtorchError, match=message):
             write_radiograph(*arguments)

@@ -1,6 +1,7 @@
 """The verb: a small registration end to end, and what it does with what it is told."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -222,3 +223,22 @@ def test_bad_seeds_and_half_ranges_are_refused(pair):
         register(pair.ct, pair.radiograph, "PA", seed=-1)
     with pytest.raises(RegtorchError, match="everything is frozen"):
         register(pair.ct, pair.radiograph, "PA", half_range=torch.zeros(9))
+    for name in ("initial", "half_range"):
+        with pytest.raises(RegtorchError, match=rf"{name} of \[nan, .*\]: expected nine finite numbers"):
+            register(pair.ct, pair.radiograph, "PA", **{name: torch.full((9,), torch.nan)})
+
+
+def test_a_field_of_few_pixels_is_refused(pair):
+    weight = torch.zeros_like(pair.radiograph.weight)
+    weight[10:13, 10:60] = 1
+    with pytest.raises(RegtorchError, match="3 x 50 pixels, expected 8 to 10000 each way"):
+        register(pair.ct, replace(pair.radiograph, weight=weight), "PA")
+
+
+def test_what_looks_wrong_with_the_input_is_among_the_warnings(pair):
+    told = register(pair.ct, pair.radiograph, "PA", method=Told()).warnings
+    assert any("voxels of 6 x 6 x 6 mm" in line for line in told)
+    assert any("no source-detector distance" in line for line in told)
+    assert not any(
+        "no source" in line for line in register(pair.ct, pair.radiograph, sdd_mm=1e3, method=Told()).warnings
+    )

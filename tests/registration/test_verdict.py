@@ -8,6 +8,7 @@ import torch
 
 from regtorch.registration.problem import Found
 from regtorch.registration.verdict import convincing, judge, warnings
+from regtorch.similarity import normalized_mutual_information
 
 ALL, PATIENT = list(range(9)), [3, 4, 5, 6, 7, 8]
 
@@ -31,6 +32,13 @@ def test_failed_where_nothing_matches(pair, similarity):
 
 def test_failed_where_the_similarity_is_no_number(pair):
     assert judge(pair.problem(ALL), _found(pair, [0, 0], [0.5, 0.5], math.nan))[0] == "failed"
+
+
+def test_other_similarities_are_not_judged(pair):
+    problem = pair.problem(ALL, similarity=normalized_mutual_information)
+    status, message = judge(problem, _found(pair, [0, 0], [1.5, 1.5]))
+    assert status == "doubtful"
+    assert "gradient correlation alone" in message
 
 
 def test_doubtful_where_even_the_best_start_is_weak(pair):
