@@ -22,12 +22,15 @@ from typing import Any
 import hydra
 import pandas as pd
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from tqdm import tqdm
 
+import regtorch
 from experiments.benchmark_cases import Bench
 from experiments.benchmark_scene import Scenes
-from regtorch import __version__
+from experiments.command import told_in_one_line
+from experiments.rows import code_version
+from experiments.table import keep
 from regtorch.errors import RegtorchError
 
 COLUMNS = [
@@ -41,11 +44,15 @@ NOT_MEASURED = "not measured"
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="benchmark")
 def main(config: DictConfig) -> None:
-    out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "settings.yaml").write_text(OmegaConf.to_yaml(config))
+    with told_in_one_line("benchmark"):
+        run(config)
+
+
+def run(config: DictConfig) -> None:
+    out, cases = Path(config.out), chosen(config)
+    keep(config, out, ("only", "out"))
     bench = bench_of(config, tqdm.write)
-    with tqdm(chosen(config).items(), unit="case") as bar:
+    with tqdm(cases.items(), unit="case") as bar:
         for name, case in bar:
             bar.set_postfix_str(name)
             write(out / "benchmark.csv", measured(bench, name, case))
@@ -64,7 +71,8 @@ def chosen(config: DictConfig) -> dict[str, Any]:
 
 
 def measured(bench: Bench, name: str, case: Any) -> pd.DataFrame:
-    rows = [{"case": name, "version": __version__} | row for row in case(bench)]
+    version = code_version(Path(regtorch.__file__).parent)
+    rows = [{"case": name, "version": version} | row for row in case(bench)]
     digits = [{key: f"{v:.6g}" if isinstance(v, float) else v for key, v in row.items()} for row in rows]
     return pd.DataFrame(digits, columns=COLUMNS, dtype=object)
 

@@ -120,6 +120,16 @@ def test_changed_settings_refuse_to_mix(settings, tmp_path):
     assert len(_read(tmp_path / "9-DOF" / "registrations.csv")) == 2
 
 
+def test_settings_are_the_same_however_they_were_given(settings, tmp_path):
+    """The file has them as they were given: what the environment says is not in it."""
+    keep(settings("dof=6"), tmp_path, CASES)
+    before = (tmp_path / "settings.yaml").read_text()
+    assert "arm: ${dof}-DOF" in before
+    refuse_to_mix(settings("dof=6", "arm=6-DOF"), tmp_path, CASES)
+    with pytest.raises(RegtorchError, match="another 'arm'"):
+        refuse_to_mix(settings("dof=6", "arm=other"), tmp_path, CASES)
+
+
 def test_settings_that_another_process_wrote_first_are_not_mixed_with(settings, tmp_path, monkeypatch):
     link = os.link
 
