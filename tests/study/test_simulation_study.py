@@ -16,7 +16,7 @@ from experiments import simulation_study
 from experiments.checks import CASES
 from experiments.merge import KEY
 from experiments.rows import code_version
-from experiments.table import append, done, keep, locked, whole_lines
+from experiments.table import append, done, keep, locked, refuse_to_mix, whole_lines
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, parameters_from_dict
 from regtorch.imaging.volume_files import write_volume
