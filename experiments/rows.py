@@ -39,12 +39,20 @@ def accuracy_of(result: Registration, truth: Simulation, ct: Volume) -> dict[str
     }
 
 
-def verdict_of(result: Registration, pde_mm: float | None) -> dict[str, Any]:
-    """Columns: what a registration says of itself, and whether its PDE, if there is one, is within its 95 % bound."""
-    told = result.to_dict()
-    row = {key: told.get(key) for key in ("expected_pde_mm", "similarity", "status", "message")}
-    bound = told.get("pde_95_mm")
-    return row | {"within_region": None if bound is None or pde_mm is None else pde_mm <= bound}
+def verdict_of(result: Registration, truth: Simulation | None, pde_mm: float | None) -> dict[str, Any]:
+    """Columns: what a registration says of itself, and whether its PDE is within the 95 % bound that it tells.
+
+    Of the truth's targets, as the PDE; of the anatomy in the image where there is no truth.
+    """
+    points = None if truth is None else torch.tensor(list(truth.targets.values()), dtype=torch.float64)
+    expected, bound = result.expected_pde_mm(points) or (None, None)
+    return {
+        "expected_pde_mm": expected,
+        "within_region": None if bound is None or pde_mm is None else pde_mm <= bound,
+        "similarity": result.similarity,
+        "status": result.status,
+        "message": result.message,
+    }
 
 
 def cost_of(result: Registration, threads: int) -> dict[str, Any]:

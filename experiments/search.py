@@ -8,7 +8,7 @@ come; a second start does those that are missing in all tables of the folder, an
 work there at the same time. ``failures/`` shows registrations that went wrong, and those whose verdict did.
 ``experiments.search_figures`` draws. Columns, besides parameters and errors:
 
-- expected_pde_mm: the PDE that the registration expects of itself, where it tells any
+- expected_pde_mm: the PDE that the registration expects of itself at the targets, where it tells any
 - within_region: whether the PDE is at most the 95 % bound that it tells, where it tells any
 """
 
@@ -114,7 +114,7 @@ class Study:
         row = dict.fromkeys(COLUMNS) | dict(zip(KEY, case, strict=True))
         if not decoy:
             row |= accuracy_of(result, truth, self.cts[ct])
-        row |= verdict_of(result, row["pde_mm"]) | cost_of(result, self.config.threads)
+        row |= verdict_of(result, None if decoy else truth, row["pde_mm"]) | cost_of(result, self.config.threads)
         if not decoy:
             pictures = Path(self.config.out) / "failures"
             if went_wrong(row) and len(list(pictures.glob("*.png"))) < self.config.pictures:

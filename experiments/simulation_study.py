@@ -10,7 +10,7 @@ parameters and errors:
 
 - redrawn: how many geometries were drawn before this one that put bone behind the detector or too little into the image
 - targets: how many of the targets the image shows, over which PDE is the mean
-- expected_pde_mm: the PDE that the registration expects of itself, where it tells any
+- expected_pde_mm: the PDE that the registration expects of itself at the targets, where it tells any
 - within_region: whether the PDE is at most the 95 % bound that it tells, where it tells any
 - marker_*, corner*: see ``experiments.geometries.misplacement``; empty where the CT has no such target
 """
@@ -129,7 +129,7 @@ class Study:
         row = dict.fromkeys(COLUMNS) | dict(zip(KEY, case, strict=True))
         row |= {"dof": self.config.dof, "redrawn": redrawn, "targets": len(truth.targets)}
         row |= accuracy_of(result, truth, self.ct)
-        row |= verdict_of(result, row["pde_mm"]) | cost_of(result, self.config.threads)
+        row |= verdict_of(result, truth, row["pde_mm"]) | cost_of(result, self.config.threads)
         if self.config.marker in self.targets:
             marker = self._in_ct(self.targets[self.config.marker])
             row |= misplacement(geometries.default, true, marker, view)

@@ -163,7 +163,7 @@ def _looked_further(
     before = places.clone()
     for index, end, value in zip(apart, ends, reached, strict=True):
         if value > together[index]:  # for the start and those beside it: an end confirms nothing by itself
-            there = problem.shift_mm(before, before[index]) <= PLACE_MM
+            there = (problem.shift_mm(before, before[index]) <= PLACE_MM) & (together < value)
             places[there], together[there] = end, value
     return _best_first(places, together)
 

@@ -87,13 +87,26 @@ class Registration:
         each = projection_covariance(self.parameters, self.covariance, points_mm.double(), *place)
         return each.diagonal(dim1=1, dim2=2).sum(1).sqrt()
 
+    def expected_pde_mm(self, points_mm: Float[Tensor, "n 3"] | None = None) -> tuple[float, float] | None:
+        """The PDE to expect of points (LPS mm; the anatomy in the image unless given), and what 95 % are below; in mm.
+
+        None where that cannot be told. Where errors are alike in both directions their mean is 0.89 of the root mean
+        square, and 1.73 of that holds 95 % (Rayleigh).
+        """
+        if self.covariance is None:
+            return None
+        if points_mm is None:
+            rms = self.error_rms_mm
+        else:
+            rms = float(self.expected_errors_mm(points_mm).square().mean().sqrt())
+        return (math.sqrt(math.pi) / 2 * rms, math.sqrt(-math.log(0.05)) * rms) if math.isfinite(rms) else None
+
     def _uncertainty(self) -> dict[str, Any]:
-        """Where errors are alike in both directions their mean is 0.89 of the root mean square, and 1.73 of that holds
-        95 % (Rayleigh)."""
-        if self.covariance is None or not math.isfinite(self.error_rms_mm):
+        told = self.expected_pde_mm()
+        if self.covariance is None or told is None:
             return {}
         return {
             "standard_deviations": parameters_to_dict(self.covariance.diagonal().sqrt()),
-            "expected_pde_mm": math.sqrt(math.pi) / 2 * self.error_rms_mm,
-            "pde_95_mm": math.sqrt(-math.log(0.05)) * self.error_rms_mm,
+            "expected_pde_mm": told[0],
+            "pde_95_mm": told[1],
         }

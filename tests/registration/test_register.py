@@ -210,10 +210,15 @@ def test_expected_errors_are_of_named_points(pair):
     assert bool((errors > 0).all())
     told = found.to_dict()
     assert 0 < told["expected_pde_mm"] < told["pde_95_mm"]
+    expected, bound = found.expected_pde_mm(points)
+    assert (expected, bound) == pytest.approx(
+        [k * float(errors.square().mean().sqrt()) for k in (0.8862, 1.7308)], rel=1e-4
+    )
     assert list(told["standard_deviations"]) == list(KEYS)
     assert found.error_rms_mm == pytest.approx(float(errors.square().mean().sqrt()), rel=1)
     without = register(pair.ct, pair.radiograph, "PA", method=Told())
     assert "expected_pde_mm" not in without.to_dict()
+    assert without.expected_pde_mm(points) is None
     with pytest.raises(RegtorchError, match="no covariance"):
         without.expected_errors_mm(points)
 
