@@ -95,7 +95,7 @@ def parser() -> argparse.ArgumentParser:
 
     add = _command(commands, "register", "find where source, patient and detector stood")
     add("ct", metavar="CT", help=_CT_HELP)
-    add("radiograph", metavar="RADIOGRAPH", help="DICOM, 16-bit PNG or TIFF")
+    add("radiograph", metavar="RADIOGRAPH", help="DICOM, or grey PNG or TIFF, best with 16 bits")
     add("--view", required=True, choices=_VIEWS, metavar="VIEW", help=_VIEW_HELP)
     add("--out", required=True, metavar="DIR", help="folder for result.json and overlay.png")
     add("--dof", type=int, default=9, choices=(9, 7, 6), help="what is sought: 9 all, 7 SDD and patient, 6 patient (9)")

@@ -75,7 +75,7 @@ def more_candidates(
 def evolved(problem: Problem, tissue: Matcher, places: Float[Tensor, "n 9"], generations: int) -> Float[Tensor, "n 9"]:
     """Where CMA-ES ends that begins there a pixel wide, and needs no slope: for basins that are rough."""
     problem.progress(0.5, f"CMA-ES from {len(places)} places")
-    sigma = tissue.level.fixed.detector.pixel_mm / problem.sensitivity().clamp(1e-3, 1e6)
+    sigma = tissue.level.fixed.detector.pixel_mm / problem.sensitivity()
     found = cma_es(
         lambda values: -tissue.similarity(problem.embed(values)),
         places[:, problem.free].clamp(problem.lower, problem.upper),

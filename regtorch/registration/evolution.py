@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.optimization import Optimum, cma_es, multi_start
+from regtorch.registration.candidates import distinct
 from regtorch.registration.matcher import Matcher, Tally
 from regtorch.registration.objective import Level
 from regtorch.registration.problem import Found, Problem
@@ -107,12 +108,9 @@ def evolution(
 
 def _distinct(problem: Problem, found: Optimum, shift_mm: float) -> list[int]:
     """Which starts ended at places that look different, best first."""
-    kept: list[int] = []
-    for index in found.cost.argsort().tolist():
-        here = problem.embed(found.x[index])
-        if all(float(problem.shift_mm(problem.embed(found.x[k]), here)) > shift_mm for k in kept):
-            kept.append(index)
-    return kept
+    order = found.cost.argsort()
+    kept = distinct(problem, problem.embed(found.x[order]), shift_mm, len(order))
+    return order[kept].tolist()
 
 
 def _shift_mm(

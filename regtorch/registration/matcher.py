@@ -71,7 +71,7 @@ class Matcher:
             start[:, problem.free],
             lower=problem.lower,
             upper=problem.upper,
-            scale=1 / problem.sensitivity().clamp(1e-3, 1e6),
+            scale=1 / problem.sensitivity(),
             steps=steps,
             damping=damping,
         )

@@ -72,7 +72,7 @@ class Problem:
         parameters[..., self.free] = values
         return parameters
 
-    def released(self) -> "Problem":
+    def all_free(self) -> "Problem":
         """The same where all nine may move: those that were frozen as far as they are searched unless told."""
         half_range = self.half_range.clone()
         frozen = [index for index in range(len(NAMES)) if index not in self.free]
@@ -92,10 +92,13 @@ class Problem:
         return projection_distances(*matrices, self.points, self.radiograph.detector.pixel_mm).mean(-1)
 
     def sensitivity(self) -> Float[Tensor, " d"]:
-        """What a unit (mm, rad) of each free parameter does to the points in the detector plane, in mm."""
+        """What a unit (mm, rad) of each free parameter does to the points in the detector plane, in mm.
+
+        Within limits, so that optimisers may scale by its inverse also what moves nothing.
+        """
         step = self.half_range * 1e-3
         moved = (self.initial + torch.diag(step))[self.free]
-        return self.shift_mm(moved, self.initial) / step[self.free]
+        return (self.shift_mm(moved, self.initial) / step[self.free]).clamp(1e-3, 1e6)
 
     def level(
         self, longest: int, voxel_per_pixel: float, volume: Volume | None = None, *, least_ratio: float = 1.0

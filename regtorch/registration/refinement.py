@@ -64,7 +64,7 @@ def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: in
     """
     problem = forgiving.problem
     climbed = forgiving.climb(parameters[None], steps, _NEAR)
-    scale = 1 / problem.sensitivity().clamp(1e-3, 1e6)
+    scale = 1 / problem.sensitivity()
     values, axes = torch.linalg.eigh(climbed.jtj[0] * scale[:, None] * scale)
     offsets = [torch.zeros_like(scale)]
     for value, axis in list(zip(values, axes.mT, strict=True))[:_FLATTEST]:
@@ -82,7 +82,7 @@ def released(matcher: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Fl
     Less what noise makes of it where what is frozen is right: the covariance of all nine, where they end. Where it is
     wrong this tells about how far off the image is.
     """
-    all_free = matcher.problem.released()
+    all_free = matcher.problem.all_free()
     held = refined(matcher, parameters, steps).parameters
     free = replace(matcher, problem=all_free)
     end = all_free.embed(free.climb(held[None], 2 * steps).x)[0]
