@@ -43,8 +43,8 @@ def write_overlay(
     picture = np.clip((grey - low) / max(high - low, 1e-12), 0, 1)[..., None].repeat(3, axis=2)
     picture = picture * (1 - 0.8 * edges[..., None]) + 0.8 * edges[..., None] * _EDGE
 
-    rows, columns = grey.shape
-    figure = Figure(figsize=(_INCHES, _INCHES * rows / columns + 0.5), dpi=_DPI, layout="constrained")
+    height, width = grey.shape
+    figure = Figure(figsize=(_INCHES, _INCHES * height / width + 0.5), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     rows, columns = shown.image.shape

@@ -106,11 +106,13 @@ def hybrid(
     if not enough:
         starts, together = _looked_further(search, pyramids, starts, together)
     end = _sharpened(search, pyramids, starts, together)
-    if enough and (at_limit(problem, end.parameters) or gain(pyramids.bone[-1], end) < _CONFINED):
+    gained = gain(pyramids.bone[-1], end)
+    if enough and (at_limit(problem, end.parameters) or gained < _CONFINED):
         known = starts[0]
         starts, together = _looked_further(search, pyramids, starts, together)
         if not torch.equal(known, starts[0]):
             end = _sharpened(search, pyramids, starts, together)
+            gained = gain(pyramids.bone[-1], end)
 
     problem.progress(0.8, f"{finest.pixels} pixels")
     widths = edges_px if end.similarity > trusted_similarity else edges_px[-1:]
@@ -135,7 +137,7 @@ def hybrid(
         weak_similarity=_WEAK if pyramids.whole else 0.0,
         mirrored_similarity=_mirrored_similarity(search, pyramids, starts[0]),
         released=moves,
-        gain=gain(pyramids.bone[-1], end),
+        gain=gained,
     )
 
 
