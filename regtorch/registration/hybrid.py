@@ -106,20 +106,21 @@ def hybrid(
     if not enough:
         starts, together = _looked_further(search, pyramids, starts, together)
     end = _sharpened(search, pyramids, starts, together)
-    gained = gain(pyramids.bone[-1], end)
+    whole = pyramids.whole[1] if pyramids.whole else None
+    gained = gain(pyramids.bone[-1], end, whole)
     if enough and (at_limit(problem, end.parameters) or gained < _CONFINED):
         known = starts[0]
         starts, together = _looked_further(search, pyramids, starts, together)
         if not torch.equal(known, starts[0]):
             end = _sharpened(search, pyramids, starts, together)
-            gained = gain(pyramids.bone[-1], end)
+            gained = gain(pyramids.bone[-1], end, whole)
 
     problem.progress(0.8, f"{finest.pixels} pixels")
     widths = edges_px if end.similarity > trusted_similarity else edges_px[-1:]
     answer = finished(search.matcher(finest, pyramids.tissue), end.parameters, finest.steps, widths)
-    if pyramids.whole:
+    if whole:
         problem.progress(0.9, "all tissue")
-        if float(pyramids.whole[1].similarity(answer.parameters[None])[0]) > trusted_similarity:
+        if float(whole.similarity(answer.parameters[None])[0]) > trusted_similarity:
             other = _by_all_tissue(search, pyramids, finest, answer.parameters, edges_px)
             answer = other if other.plain_similarity > answer.plain_similarity else answer
     error, moves = answer.covariance, None
@@ -134,7 +135,7 @@ def hybrid(
         start_similarity=together,
         evaluations=search.tally.evaluations,
         covariance=error,
-        weak_similarity=_WEAK if pyramids.whole else 0.0,
+        weak_similarity=_WEAK if whole else 0.0,
         mirrored_similarity=_mirrored_similarity(search, pyramids, starts[0]),
         released=moves,
         gain=gained,

@@ -126,10 +126,25 @@ def test_marking_down_what_is_not_explained_gains_much_where_that_is_confined(pa
         plain = Matcher.of(problem, 100, 1.3, problem.attenuating, Tally())
         forgiving = plain.forgiving(truth)
         end = End(truth, float(forgiving.similarity(truth[None])[0]), forgiving)
-        gains.append(gain(plain, end))
+        gains.append(gain(plain, end, None))
     assert gains[0] == math.inf
     assert gains[1] > 1.5
     assert gains[2] < 1.2
+
+
+def test_what_bone_does_not_explain_may_be_soft_tissue(pair):
+    """It is everywhere in a radiograph of the whole CT, where all tissue explains it; in a wrong place it does not."""
+    truth = pair.truth.parameters
+    image = simulate(pair.ct, truth, "PA", detector=DETECTOR, threshold_hu=None).image
+    problem = pair.problem(list(range(9)), radiograph=Radiograph.from_image(image, DETECTOR))
+    plain, whole = (Matcher.of(problem, 100, 1.3, volume, Tally()) for volume in (problem.attenuating, problem.whole))
+    gains = {}
+    for off_mm in (0.0, 20.0):
+        place = truth + off_mm * torch.eye(9, dtype=torch.float64)[4]
+        end = End(place, float(plain.similarity(place[None])[0]), plain)
+        gains[off_mm] = gain(plain, end, None), gain(plain, end, whole)
+    assert gains[0.0] == (1.0, math.inf)
+    assert gains[20.0] == (1.0, 1.0)
 
 
 def test_bone_no_denser_than_the_threshold_is_found(pair):
@@ -159,7 +174,7 @@ def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
 )
 def test_more_poses_are_looked_at_where_the_answer_does_not_convince(pair, monkeypatch, seen, value):
     """However well the first ones agreed."""
-    monkeypatch.setattr(f"regtorch.registration.hybrid.{seen}", lambda problem, parameters: value)
+    monkeypatch.setattr(f"regtorch.registration.hybrid.{seen}", lambda *given: value)
     told = []
     settings = {"initial": pair.truth.parameters + FAR, "half_range": HALF_RANGE}
     settings["progress"] = lambda share, what: told.append(what)
