@@ -17,7 +17,7 @@ def progress_bar(what: str = "") -> Iterator[Callable[[float, str], None]]:
 
     def progress(share: float, what: str) -> None:
         bar.set_description_str(what, refresh=False)
-        bar.update(round(100 * share, 1) - bar.n)
+        bar.update(max(0.0, round(100 * share, 1) - bar.n))  # a search that looks further says an earlier share
 
     layout = {"bar_format": "{desc} {bar} {elapsed} < {remaining}", "leave": False}
     with tqdm(desc=what, total=100, disable=None, mininterval=0, miniters=0, **layout) as bar:
