@@ -24,7 +24,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from experiments.command import told_in_one_line, use_threads
-from experiments.failures import went_wrong, write_picture
+from experiments.pictures import went_wrong, write_picture
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
 from experiments.table import append, done, keep, locked, parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError

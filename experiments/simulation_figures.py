@@ -4,8 +4,8 @@
 
 ``figure2``: where the search begins; ``figure4``: errors of the parameters, PDE before and after; ``coupling``: how the
 patient makes up for the source in 6-DOF; ``pde``: PDE after against before; ``table``: in numbers, beside the paper's.
-What the whole detector shows in ``background_PA.png`` and ``background_LAT.png``, if the folder has them, is behind
-figure 2, which is left out for a CT without the study's marker.
+Behind figure 2 is what the study left in ``background_PA.png`` and ``background_LAT.png``, if it did. Without the
+study's marker in the CT there is no figure 2.
 """
 
 import argparse

@@ -26,14 +26,15 @@ from tqdm import tqdm
 from experiments.checks import CASES, component
 from experiments.command import told_in_one_line, use_threads
 from experiments.data import read
-from experiments.failures import FAILED_MM, went_wrong, write_picture
 from experiments.geometries import Geometries, bone_voxels, centred, misplacement
 from experiments.merge import KEY
+from experiments.pictures import FAILED_MM, went_wrong, write_default, write_picture
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
 from experiments.table import append, done, keep, locked, parse_shard, refuse_to_mix, table_name
 from regtorch.geometry import KEYS, Detector
 from regtorch.imaging import Radiograph
 from regtorch.registration import register
+from regtorch.simulation import Simulation
 
 COLUMNS = (
     *KEY, "dof", "redrawn", *(f"{name}_{key}" for name in ("true", "initial", "found", "error") for key in KEYS),
@@ -58,6 +59,8 @@ def run(config: DictConfig) -> None:
     refuse_to_mix(config, folder, CASES)
     study = Study(config) if _missing(config, folder) else None
     keep(config, folder, CASES)
+    if study:
+        study.write_defaults()
     table = folder / table_name(config.shard)
     with locked(table):
         missing, count = _missing(config, folder), len(cases(config))
@@ -111,8 +114,7 @@ class Study:
         _, view, seed = case
         geometries = self.geometries(view)
         true, redrawn = geometries.draw(seed)
-        truth = self.radiograph(self.ct, true, view, detector=self.detector, targets=self.targets, seed=seed)
-        radiograph = Radiograph.from_image(truth.image, self.detector)
+        truth, radiograph = self._taken(true, view, seed)
         result = register(
             self.ct,
             radiograph,
@@ -138,6 +140,16 @@ class Study:
         if went_wrong(row, failed_mm) and len(list(pictures.glob("*.png"))) < self.config.pictures:
             write_picture(pictures / f"{view}_{seed}.png", self.ct, radiograph, result, true)
         return row
+
+    def write_defaults(self) -> None:
+        for view in self.config.views:
+            path = Path(self.config.out) / f"background_{view}.png"
+            if not path.exists():
+                write_default(path, self._taken(self.geometries(view).default, view, 0)[1])
+
+    def _taken(self, parameters: torch.Tensor, view: str, seed: int) -> tuple[Simulation, Radiograph]:
+        truth = self.radiograph(self.ct, parameters, view, detector=self.detector, targets=self.targets, seed=seed)
+        return truth, Radiograph.from_image(truth.image, self.detector)
 
     def _in_ct(self, point_mm: tuple[float, float, float]) -> torch.Tensor:
         return torch.tensor(point_mm, dtype=torch.float64) - self.ct.origin_patient_mm

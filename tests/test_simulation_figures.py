@@ -112,8 +112,13 @@ def test_squares_of_figure_2_lie_about_the_vertebra(folder):
 
 def test_figure_2_shows_a_background_if_there_is_one(folder, tmp_path):
     rows = read_rows(folder)
-    Image.new("L", (50, 50), 90).save(tmp_path / "background_PA.png")
-    assert [len(axes.images) for axes in start_figure(rows, tmp_path).axes] == [1, 0]
+    Image.new("L", (50, 40), 90).save(tmp_path / "background_PA.png")
+    assert [len(axes.images) for axes in start_figure(rows, tmp_path).axes] == [0, 0]
+    (tmp_path / "9-DOF").mkdir()
+    (tmp_path / "9-DOF" / "settings.yaml").write_text("detector: {rows: 400, columns: 500, pixel_mm: 0.7}")
+    panels = start_figure(rows, tmp_path).axes
+    assert [len(axes.images) for axes in panels] == [1, 0]
+    assert panels[0].images[0].get_extent() == [-175, 175, -140, 140]
 
 
 def test_figure_2_is_of_the_rows_that_know_their_marker(tmp_path):

@@ -46,6 +46,7 @@ def test_a_row_tells_all(settings, tmp_path):
     assert source == [float(row[f"initial_{key}"]) for key in KEYS[:3]] == [0, 0, 1000]
     assert 2 <= int(row["targets"]) <= 19
     assert float(row["pde_mm"]) < float(row["initial_pde_mm"])
+    assert [path.name for path in tmp_path.glob("*.png")] == ["background_PA.png"]
 
 
 def test_rows_of_changed_code_are_of_another_version(tmp_path):

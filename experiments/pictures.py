@@ -1,4 +1,4 @@
-"""Small pictures of registrations that went wrong, or whose verdict did."""
+"""Small pictures that studies leave: of registrations that went wrong, or whose verdict did, and of the default."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from regtorch.drr import render
+from regtorch.files import written_whole
 from regtorch.imaging import Radiograph, Volume, attenuation
 from regtorch.imaging.radiograph import level
 from regtorch.plotting import edge_strength
@@ -34,11 +35,23 @@ def write_picture(
     small = level(radiograph, _PIXELS)
     both = torch.stack([true, result.parameters])
     moving = render(attenuation(ct), both, small.detector, result.view)
-    grey = small.image.numpy()
-    low, high = np.quantile(grey, (0.005, 0.995))
-    picture = np.clip((grey - low) / max(high - low, 1e-12), 0, 1)[..., None].repeat(3, axis=2)
+    picture = _grey(small)[..., None].repeat(3, axis=2)
     for drr, colour in zip(moving, (_TRUE, _FOUND), strict=True):
         share = 0.8 * edge_strength(drr).numpy()[..., None]
         picture = picture * (1 - share) + share * colour
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray((255 * picture).astype(np.uint8)).quantize(_COLOURS).save(path, optimize=True)
+
+
+def write_default(path: Path, radiograph: Radiograph) -> None:
+    """What the detector shows where searches begin: the background of figure 2."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path, path.suffix) as temporary:
+        Image.fromarray((255 * _grey(level(radiograph, _PIXELS))).astype(np.uint8)).save(temporary, optimize=True)
+
+
+def _grey(radiograph: Radiograph) -> np.ndarray:
+    """From 0, dark, to 1."""
+    grey = radiograph.image.numpy()
+    low, high = np.quantile(grey, (0.005, 0.995))
+    return np.clip((grey - low) / max(high - low, 1e-12), 0, 1)
