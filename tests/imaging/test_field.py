@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from kornia.filters import gaussian_blur2d
 from torch.nn.functional import interpolate, pad
 
 from regtorch.imaging import attenuation, coarsen, read_volume
@@ -20,12 +21,13 @@ def torso(rows: int = 400, columns: int = 360) -> torch.Tensor:
     return (body - lungs + spine + ribs).clamp(min=0)
 
 
-def collimated(image: torch.Tensor, box: tuple[int, int, int, int], beyond: float) -> torch.Tensor:
+def collimated(
+    image: torch.Tensor, box: tuple[int, int, int, int], beyond: float, *, noise: float = 0.03
+) -> torch.Tensor:
     r0, r1, c0, c1 = box
     out = torch.full_like(image, beyond)
     out[r0:r1, c0:c1] = image[r0:r1, c0:c1]
-    noise = torch.randn(image.shape, generator=torch.Generator().manual_seed(0))
-    return out + 0.03 * noise
+    return out + noise * torch.randn(image.shape, generator=torch.Generator().manual_seed(0))
 
 
 @pytest.mark.parametrize(
@@ -42,6 +44,27 @@ def test_burnt_in_shutter() -> None:
     image = torch.zeros(400, 360)
     image[40:300, 70:290] = torso()[40:300, 70:290] + 1
     assert exposed_field(image) == (40, 300, 70, 290)
+    image[15:30, 20:32] = 3
+    assert exposed_field(image) == (40, 300, 70, 290)
+
+
+@pytest.mark.parametrize("scatter", [0.1, 0.9])
+@pytest.mark.parametrize("tilt", [-4, 3])
+@pytest.mark.parametrize("sharpened", [0.0, 1.5])
+def test_collimator_beyond_which_scatter_falls(scatter: float, tilt: int, sharpened: float) -> None:
+    """So that much in the field is brighter than beyond it; letters are brightest."""
+    box = (50, 350, 40, 300)
+    beam = collimated(torch.ones(400, 360), box, 0.01, noise=0)
+    turned = torch.arange(400)[:, None] + torch.linspace(-tilt / 2, tilt / 2, 360).round().long()
+    beam = gaussian_blur2d(beam.gather(0, turned.clamp(0, 399))[None, None], (9, 9), (1.0, 1.0))[0, 0]
+    light = torch.exp(-torso()) * beam
+    light = light + scatter * gaussian_blur2d(light[None, None], (241, 241), (60.0, 60.0), "constant")[0, 0]
+    noise = 1 + 0.01 * torch.randn(light.shape, generator=torch.Generator().manual_seed(0))
+    image = -(light * noise).log()
+    image = image + sharpened * (image - gaussian_blur2d(image[None, None], (61, 61), (10.0, 10.0))[0, 0])
+    image[60:75, 270:280] = image.max() + 1
+    for found_at, at, inwards in zip(exposed_field(image), box, (1, -1, 1, -1), strict=True):
+        assert 0 <= (found_at - at) * inwards <= 14
 
 
 @pytest.mark.parametrize("margin", [0, 100])
