@@ -108,6 +108,7 @@ class Study:
             free=self.config.dof,
             initial=self.drawn(ct, view, seed)[1],
             half_range=self.config.searched_deviations * nine_parameters(self.config.start),
+            threshold_hu=self.config.threshold_hu,
             seed=seed,
             progress=lambda share, what: tell(f"{100 * share:.0f} % {what}", refresh=False),
         )
