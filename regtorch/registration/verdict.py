@@ -21,6 +21,10 @@ _LEAST_SIMILARITY = 0.05
 _LEAST_GAP = 0.05
 """How much better than the next best place the answer must be on the second level."""
 
+_REACHED = 0.3
+"""The answer's similarity, from which a weak best start does not matter: 0.2 at most for what fits nowhere, 0.4 for a
+lateral pelvis whose soft tissue scatter has hidden."""
+
 _STRONG, _OVER_MIRRORED = 0.4, 0.06
 """The best start's similarity, below which it must be so much more than what the radiograph reaches mirrored: 0.07 and
 more for right radiographs, but 0.02 for those of a thorax that the CT holds half of; 0.02 for another patient's on
@@ -69,7 +73,7 @@ def judge(problem: Problem, found: Found) -> tuple[Status, str]:
     if limited := at_limit(problem, found.parameters):
         names = ", ".join(KEYS[parameter].rsplit("_", 1)[0] for parameter in limited)
         return "doubtful", f"{names} at the limit of the range searched: the answer may lie beyond"
-    if best < found.weak_similarity:
+    if best < found.weak_similarity and found.similarity < _REACHED:
         return "doubtful", f"similarity {best:.2f} at best: too weak to tell this anatomy from another"
     if best < _STRONG and found.mirrored_similarity > best - _OVER_MIRRORED:
         return "doubtful", f"mirrored, the radiograph matches nearly as well ({known}): it may show another anatomy"

@@ -44,9 +44,11 @@ def test_other_similarities_are_not_judged(pair):
 def test_doubtful_where_even_the_best_start_is_weak(pair):
     found = _found(pair, [0, 0], [0.2, 0.2])
     assert judge(pair.problem(ALL), found)[0] == "ok"
-    status, message = judge(pair.problem(ALL), replace(found, weak_similarity=0.3))
+    weak = replace(found, weak_similarity=0.3)
+    status, message = judge(pair.problem(ALL), replace(weak, similarity=0.25))
     assert status == "doubtful"
     assert "too weak" in message
+    assert judge(pair.problem(ALL), replace(weak, similarity=0.35))[0] == "ok"
 
 
 @pytest.mark.parametrize(
