@@ -19,6 +19,9 @@ SHOWN_MM = (1e-4, 1e3)
 
 DPI = 150
 
+_NARROWEST = 6
+"""Times its beginning that a logarithmic axis spans at least: less may hold but one of 1, 2 and 5."""
+
 _TICKS = {(1, 2, 5): 10, (1, 3): 100}
 """Times a power of ten, on axes that span less than so many times their beginning."""
 
@@ -53,6 +56,10 @@ def plain_logarithmic(axes: Axes, which: str = "y") -> None:
     axis = axes.yaxis if which == "y" else axes.xaxis
     axes.set(**{f"{which}scale": "log"})
     low, high = axis.get_view_interval()
+    if high < _NARROWEST * low:
+        beyond = (_NARROWEST * low / high) ** 0.5
+        low, high = low / beyond, high * beyond
+        axes.set(**{f"{which}lim": (low, high)})
     subs = next((subs for subs, span in _TICKS.items() if high < span * low), (1,))
     axis.set_major_locator(LogLocator(subs=subs, numticks=12))
     axis.set_major_formatter(FuncFormatter(_written_out))
