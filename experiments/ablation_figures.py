@@ -106,9 +106,9 @@ def ablation_figure(rows: pd.DataFrame, found: pd.DataFrame) -> mpl.figure.Figur
         for limit, style in _SHARES.items():
             name = f"under_{limit}"
             _point(panels[1], y, line[[name, f"{name}_low", f"{name}_high"]], color=colour, **style)
-        panels[2].plot(line.evaluations, y, "o", color=colour)
+        panels[2].plot(line.evaluations / 1000, y, "o", color=colour)
         panels[3].plot(line.seconds, y, "o", color=colour)
-    for axes, label in zip(panels, ("PDE (mm)", "share (%)", "evaluations", "seconds"), strict=True):
+    for axes, label in zip(panels, ("PDE (mm)", "share (%)", "evaluations (1000)", "seconds"), strict=True):
         axes.set_xlabel(label)
         if axes is not panels[1]:
             plain_logarithmic(axes, "x")
