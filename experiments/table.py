@@ -48,10 +48,10 @@ def refuse_to_mix(config: DictConfig, folder: Path, cases: Iterable[str], parts:
     kept = folder / SETTINGS
     if kept.exists():
         before = OmegaConf.to_container(OmegaConf.load(kept))
-        changed = [key for key in own | before if key not in parts and own.get(key) != before.get(key)]
+        changed = [key for key in own | before if key not in parts and own.get(key, ...) != before.get(key, ...)]
         if changed:  # or only written in another way, as ``arm: ${dof}-DOF`` and ``arm: 9-DOF``
             now, then = (OmegaConf.to_container(each, resolve=True) for each in (config, OmegaConf.load(kept)))
-            changed = [key for key in changed if now.get(key) != then.get(key)]
+            changed = [key for key in changed if now.get(key, ...) != then.get(key, ...)]
         for key in parts:
             old = before.get(key, {})
             changed += [f"{key}.{name}" for name in old if own[key].get(name, old[name]) != old[name]]

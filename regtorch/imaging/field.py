@@ -12,8 +12,8 @@ Box = tuple[int, int, int, int]
 
 _COARSE = 256
 """Longer side, in pixels, at which collimator edges are looked for: noise is gone, half shadows are narrow."""
-_SHORTEST = 64
-"""Shorter side below which a row of bone may pass for a straight edge."""
+_SHORTEST = 128
+"""Shorter side below which a diaphragm or a bone's shaft may pass for a straight edge."""
 _DEEPEST = 0.45
 """How far in a collimator may reach, as a share of the image."""
 _TILT = 5
@@ -29,6 +29,8 @@ _LEAST_RANGE = 0.06
 """Of what is left, as a share of the whole image's: there must be anatomy in it, as there is none in air."""
 _MOST_STRUCTURE = 1.5
 """Beyond an edge, of that in the field: up to 1.2 with collimators, from noise; 14 where a straight spine is cut."""
+_NEARLY_ALL = 0.2
+"""The quantile beyond an edge that is brighter than what is beside it inside: air further out is not."""
 _TRIED = 20
 """Lines, the likeliest first."""
 _LETTERS = 0.1
@@ -39,8 +41,8 @@ def exposed_field(image: Float[Tensor, "h w"]) -> Box:
     """The exposed rectangle of a bone-bright image; all of it where no collimator is seen.
 
     Lead keeps the beam away, though not what the patient scatters: along the whole straight edge the image falls from
-    brighter, out to the border, more steeply than beside it, which no anatomy does. Dark borders are air and stay,
-    unless they are one constant around a filled rectangle, which is a shutter burnt in.
+    brighter, out to the border, more steeply than beside it, which anatomy hardly ever does. Dark borders are air and
+    stay, unless they are one constant around a filled rectangle, which is a shutter burnt in.
     """
     r0, r1, c0, c1 = box = _burnt_in(image)
     inner = image[r0:r1, c0:c1]
@@ -101,7 +103,8 @@ class _Side:
         drop, steepest = self.drop[:, 1 : rows - opposite - 10, span], self.steepest[:, 1 : rows - opposite - 10, span]
         shares = steepest.float().mean(2)
         strength = (drop * steepest).sum(2) / steepest.sum(2).clamp_min(1)
-        score = torch.where((shares > share) & (strength > _WEAKEST), shares * strength, 0).flatten()
+        straight = 1 - 0.01 * torch.arange(-_TILT, _TILT + 1)[:, None].abs()  # where two tilts do as well
+        score = torch.where((shares > share) & (strength > _WEAKEST), straight * shares * strength, 0).flatten()
         for place in score.argsort(descending=True)[:_TRIED].tolist():
             if float(score[place]) > 0:
                 tilt, line = divmod(place, drop.shape[1])
@@ -115,7 +118,7 @@ class _Side:
         below = (torch.arange(rows)[:, None] + self.shift[tilt]).clamp(0, rows - 1)
         image = self.image.gather(0, below)[:, span]
         outside, inside = image[:line], image[line + 3 : end]
-        brighter = outside.mean(0) > image[line + 2 : line + 4].mean(0)
+        brighter = _smooth(outside, 5).quantile(_NEARLY_ALL, dim=0) > image[line + 2 : line + 4].mean(0)
         darkest, brightest = inside.quantile(torch.tensor([0.05, 0.95], dtype=inside.dtype)).tolist()
         if float(brighter.float().mean()) < share or brightest - darkest < _LEAST_RANGE:
             return 0

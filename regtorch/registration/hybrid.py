@@ -3,6 +3,7 @@
 Soft tissue guides the search where the radiograph shows it; bone refines it, and forgives what bone cannot explain.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from regtorch.registration.refinement import (
     End,
     along_the_flat,
     best_edges_px,
+    explained,
     finished,
     gain,
     refined,
@@ -106,14 +108,16 @@ def hybrid(
     if not enough:
         starts, together = _looked_further(search, pyramids, starts, together)
     end = _sharpened(search, pyramids, starts, together)
-    whole = pyramids.whole[1] if pyramids.whole else None
-    gained = gain(pyramids.bone[-1], end, whole)
+    gained = gain(pyramids.bone[-1], end)
     if enough and (at_limit(problem, end.parameters) or gained < _CONFINED):
         known = starts[0]
         starts, together = _looked_further(search, pyramids, starts, together)
         if not torch.equal(known, starts[0]):
             end = _sharpened(search, pyramids, starts, together)
-            gained = gain(pyramids.bone[-1], end, whole)
+            gained = gain(pyramids.bone[-1], end)
+    whole = pyramids.whole[1] if pyramids.whole else None
+    if whole and gained < _CONFINED and explained(whole, end):
+        gained = math.inf
 
     problem.progress(0.8, f"{finest.pixels} pixels")
     widths = edges_px if end.similarity > trusted_similarity else edges_px[-1:]

@@ -45,20 +45,25 @@ def refined(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: int) -> E
     return End(forgiving.problem.embed(climbed.x[0]), float(climbed.similarity[0]), forgiving)
 
 
-def gain(plain: Matcher, end: End, whole: Matcher | None) -> float:
+def gain(plain: Matcher, end: End) -> float:
     """How many times as similar bone is once what it does not explain is marked down; infinite where that is little.
 
-    Or where all tissue, if there is a ``whole``, explains it. From 1.38 on in 52 right radiographs of three torsos. In
-    a wrong place what bone does not explain is everywhere, so that marking it down gains little: 0.8 to 1.4 mostly,
-    1.14 in one that all else spoke for. But so it does in a right one where soft tissue has not moved and nothing else
-    is in the image: 0.92 to 1.15 in five of 19, where all tissue's similarity was 0.74 and more, and at most 0.66
-    in places over 10 mm off.
+    From 1.38 on in 52 right radiographs of three torsos. In a wrong place what bone does not explain is everywhere, so
+    that marking it down gains little: 0.8 to 1.4 mostly, 1.14 in one that all else spoke for.
     """
-    place = end.parameters[None]
-    before = float(replace(end.matcher, gradients=plain.gradients).similarity(place)[0])
-    if before >= _CLEAR or (whole is not None and float(whole.similarity(place)[0]) >= _CLEAR):
+    before = float(replace(end.matcher, gradients=plain.gradients).similarity(end.parameters[None])[0])
+    if before >= _CLEAR:
         return math.inf
     return end.similarity / before if before > 0 else 0.0
+
+
+def explained(whole: Matcher, end: End) -> bool:
+    """Whether all tissue explains the radiograph, so that what bone does not explain is soft tissue, everywhere.
+
+    Where this has not moved and nothing else is in the image, bone gains little in a right place too: 0.92 to 1.15 in
+    five of 19, where all tissue's similarity was 0.74 and more, and at most 0.66 where climbs ended over 10 mm off.
+    """
+    return float(whole.similarity(end.parameters[None])[0]) >= _CLEAR
 
 
 def along_the_flat(forgiving: Matcher, parameters: Float[Tensor, "9"], steps: int) -> Float[Tensor, "9"]:

@@ -31,7 +31,15 @@ def collimated(
 
 
 @pytest.mark.parametrize(
-    "box", [(40, 370, 30, 320), (0, 400, 60, 300), (50, 400, 0, 360), (0, 400, 0, 250), (90, 310, 90, 270)]
+    "box",
+    [
+        (40, 370, 30, 320),
+        (0, 400, 60, 300),
+        (50, 400, 0, 360),
+        (0, 400, 0, 250),
+        (90, 310, 90, 270),
+        (20, 260, 130, 345),
+    ],
 )
 def test_collimator(box: tuple[int, int, int, int]) -> None:
     found = exposed_field(collimated(torso(), box, 6.5))
@@ -49,7 +57,7 @@ def test_burnt_in_shutter() -> None:
 
 
 @pytest.mark.parametrize("scatter", [0.1, 0.9])
-@pytest.mark.parametrize("tilt", [-4, 3])
+@pytest.mark.parametrize("tilt", [-7, 6])
 @pytest.mark.parametrize("sharpened", [0.0, 1.5])
 def test_collimator_beyond_which_scatter_falls(scatter: float, tilt: int, sharpened: float) -> None:
     """So that much in the field is brighter than beyond it; letters are brightest."""
@@ -63,8 +71,8 @@ def test_collimator_beyond_which_scatter_falls(scatter: float, tilt: int, sharpe
     image = -(light * noise).log()
     image = image + sharpened * (image - gaussian_blur2d(image[None, None], (61, 61), (10.0, 10.0))[0, 0])
     image[60:75, 270:280] = image.max() + 1
-    for found_at, at, inwards in zip(exposed_field(image), box, (1, -1, 1, -1), strict=True):
-        assert 0 <= (found_at - at) * inwards <= 14
+    for found_at, at, inwards, rises in zip(exposed_field(image), box, (1, -1, 1, -1), (tilt, tilt, 0, 0), strict=True):
+        assert abs(rises) // 2 <= (found_at - at) * inwards <= 14
 
 
 @pytest.mark.parametrize("margin", [0, 100])
@@ -79,9 +87,24 @@ def test_no_collimator_no_crop(margin: int) -> None:
         assert exposed_field(padded) == (0, padded.shape[0], 0, padded.shape[1])
 
 
+def test_a_straight_bone_with_air_beyond_it_is_no_collimator() -> None:
+    """Cut by the border, and brighter than what is beside it on the whole."""
+    image = torso()
+    image[:, 300:330] = 5
+    image[:, 330:] = 0
+    image += 0.02 * torch.randn(image.shape, generator=torch.Generator().manual_seed(0))
+    assert exposed_field(image) == (0, 400, 0, 360)
+
+
+def test_no_field_is_left_of_air_alone() -> None:
+    image = torso()
+    image[150:] = 0
+    assert exposed_field(image.flip(0)) == (0, 400, 0, 360)
+
+
 def test_small_images_are_left_alone() -> None:
-    image = collimated(torso(60, 50), (10, 60, 0, 50), 6.5)
-    assert exposed_field(image) == (0, 60, 0, 50)
+    image = collimated(torso(120, 100), (20, 120, 0, 100), 6.5)
+    assert exposed_field(image) == (0, 120, 0, 100)
 
 
 @pytest.mark.parametrize("name", ["acrin_abdomen_pelvis.nii.gz", "totalsegmentator_pelvis_3mm.nii.gz"])
