@@ -20,6 +20,7 @@ from regtorch.registration import Registration
 
 _INCHES, _DPI, _PIXELS = 8.0, 120, 1000
 _EDGE = np.array([1.0, 0.6, 0.1])  # orange over grey: told apart by colour-blind readers
+_DARK = 0.4
 _STATUS_COLOURS = {"ok": "#0072b2", "doubtful": "#e69f00", "failed": "#d55e00"}
 
 
@@ -32,15 +33,21 @@ def write_overlay(
 ) -> None:
     """Save the radiograph as its file shows it, the edges of the bones where they were found, and named targets.
 
-    ``attenuating`` (1/mm) is what edges are drawn of; targets are in LPS mm.
+    ``attenuating`` (1/mm) is what edges are drawn of; targets are in LPS mm. What did not count, masked or beyond
+    collimators, is dark.
     """
-    shown = level(replace(radiograph, weight=torch.ones_like(radiograph.weight)), _PIXELS)
+    everywhere = torch.ones_like(radiograph.weight)
+    shown, counted = (
+        level(replace(radiograph, image=image, weight=everywhere), _PIXELS)
+        for image in (radiograph.image, radiograph.weight)
+    )
     moving = render(attenuating, registration.parameters, shown.detector, registration.view)
     pixel_from_stored = torch.linalg.inv(shown.stored_from_pixel)
     grey = turned(shown.image, pixel_from_stored).numpy()
     edges = turned(edge_strength(moving), pixel_from_stored).numpy()
     low, high = np.quantile(grey, (0.005, 0.995))
     picture = np.clip((grey - low) / max(high - low, 1e-12), 0, 1)[..., None].repeat(3, axis=2)
+    picture *= _DARK + (1 - _DARK) * turned(counted.image, pixel_from_stored).numpy()[..., None]
     picture = picture * (1 - 0.8 * edges[..., None]) + 0.8 * edges[..., None] * _EDGE
 
     height, width = grey.shape

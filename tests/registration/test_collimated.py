@@ -1,14 +1,17 @@
 """A radiograph whose edges are collimated, with scatter beyond them, is registered by what the field shows."""
 
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import torch
 from kornia.filters import gaussian_blur2d
 from PIL import Image
 
 from regtorch.evaluation import projection_distances
 from regtorch.geometry import Detector
-from regtorch.imaging import read_radiograph
+from regtorch.imaging import attenuation, read_radiograph
+from regtorch.plotting import write_overlay
 from regtorch.registration import register
 from regtorch.registration.hybrid import Stage, hybrid
 from regtorch.simulation import simulate
@@ -40,3 +43,14 @@ def test_collimated_radiograph(pair, tmp_path):
     matrices = result.pixel_from_patient, truth.pixel_from_patient
     assert float(projection_distances(*matrices, points, 1.75).nanmean()) < 0.5
     assert result.status == "ok"
+
+    pictures = []
+    for weight in (radiograph.weight, torch.ones_like(radiograph.weight)):
+        path = tmp_path / f"{len(pictures)}.png"
+        write_overlay(path, attenuation(pair.ct), replace(radiograph, weight=weight), result, {})
+        pictures.append(np.asarray(Image.open(path).convert("L"), dtype=float))
+    collimated, whole = pictures
+    middle = tuple(slice(2 * size // 5, 3 * size // 5) for size in whole.shape)
+    assert np.array_equal(collimated[middle], whole[middle])
+    beyond = slice(-whole.shape[0] // 30, -5), middle[1]
+    assert collimated[beyond].mean() < 0.5 * whole[beyond].mean()
