@@ -22,8 +22,8 @@ _LEAST_GAP = 0.05
 """How much better than the next best place the answer must be on the second level."""
 
 _REACHED = 0.3
-"""The answer's similarity, what it does not explain marked down, from which a weak best start does not matter: 0.2 at
-most for what fits nowhere, 0.4 for a lateral pelvis whose soft tissue scatter has hidden."""
+"""The answer's similarity, what it does not explain marked down, from which a weak best start does not matter: 0.22
+at most for what fits nowhere, 0.4 for a lateral pelvis whose soft tissue scatter has hidden."""
 
 _STRONG, _OVER_MIRRORED = 0.4, 0.06
 """The best start's similarity, below which it must be so much more than what the radiograph reaches mirrored: 0.07 and
