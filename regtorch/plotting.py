@@ -20,7 +20,7 @@ from regtorch.registration import Registration
 
 _INCHES, _DPI, _PIXELS = 8.0, 120, 1000
 _EDGE = np.array([1.0, 0.6, 0.1])  # orange over grey: told apart by colour-blind readers
-_DARK = 0.4
+_DARK = 0.4  # of its brightness is what did not count
 _STATUS_COLOURS = {"ok": "#0072b2", "doubtful": "#e69f00", "failed": "#d55e00"}
 
 

@@ -124,7 +124,7 @@ class Found:
     they go from there once those that are frozen may move, if any are. Below ``weak_similarity`` the best start is no
     better than those for another's anatomy, if the method knows how good these are. ``mirrored_similarity`` is what the
     best start reaches with the radiograph mirrored, if the method has tried. ``gain`` is how many times as similar the
-    answer is once what it does not explain is marked down, if the method does that.
+    answer is once what it does not explain is marked down, if the method does that and all tissue does not explain it.
     """
 
     parameters: Float[Tensor, "9"]
