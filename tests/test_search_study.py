@@ -92,6 +92,16 @@ def test_targets_are_those_of_a_folder_that_exists_or_of_none(ct, tmp_path):
         search.Study(_config(ct, tmp_path, f"targets={tmp_path / 'none'}"))
 
 
+def test_registrations_are_by_the_threshold_asked_for(ct, tmp_path, monkeypatch):
+    given = {}
+    register = search.register
+    monkeypatch.setattr(
+        search, "register", lambda *args, **settings: given.update(settings) or register(*args, **settings)
+    )
+    search.run(_config(ct, tmp_path, "threshold_hu=150.0"))
+    assert given["threshold_hu"] == 150
+
+
 def test_a_part_of_a_ct_is_the_same_anatomy_in_the_same_place(ct, tmp_path):
     study = search.Study(_config(ct, tmp_path, "given=0.5"))
     whole, part = study.cts["one.nii.gz"], study.given["one.nii.gz"]

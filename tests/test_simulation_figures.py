@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from PIL import Image
 
@@ -16,6 +17,7 @@ from experiments.start_figure import start_figure
 from experiments.statistics import median_interval
 from regtorch.errors import RegtorchError
 from regtorch.report.rows import PARAMETERS, read_rows
+from regtorch.report.style import plain_logarithmic
 from tests.studies import simulation_rows
 
 _ROOT = Path(__file__).parent.parent
@@ -143,6 +145,19 @@ def test_arms_may_have_other_views(tmp_path):
     found = {line[0]: line[1:] for line in _cells((tmp_path / "table.md").read_text(), "Beside the paper")}
     assert found["PDE, LAT"][0]
     assert found["PDE, LAT"][2:] == ["", "0.566"]
+
+
+@pytest.mark.parametrize(("low", "high"), [(6.2, 9.1), (0.021, 0.045), (0.3, 70.0)])
+def test_a_logarithmic_axis_tells_what_it_spans_however_little_that_is(low, high):
+    axes = Figure().subplots()
+    axes.plot([low, high])
+    plain_logarithmic(axes)
+    bottom, top = axes.get_ylim()
+    assert bottom <= low < high <= top
+    ticks = [tick for tick in axes.get_yticks() if bottom <= tick <= top]
+    told = axes.yaxis.get_major_formatter().format_ticks(ticks)
+    assert len(told) >= 2
+    assert [float(text) for text in told] == pytest.approx(ticks)
 
 
 def test_slopes_leave_out_what_was_not_found():

@@ -102,6 +102,17 @@ def test_no_field_is_left_of_air_alone() -> None:
     assert exposed_field(image.flip(0)) == (0, 400, 0, 360)
 
 
+@pytest.mark.parametrize("beyond", ["plain, nothing left", "rich in detail"])
+def test_a_straight_bright_border_need_not_be_a_collimators(beyond: str) -> None:
+    """A shield on air; anatomy cut straight, as a spine is, beside little."""
+    image = 0.01 * torch.randn((400, 360), generator=torch.Generator().manual_seed(0))
+    image[:60] += 5
+    if beyond == "rich in detail":
+        image[60:] += torch.linspace(0, 2, 340)[:, None]
+        image[:60] += torch.arange(360).div(2).sin()
+    assert exposed_field(image) == (0, 400, 0, 360)
+
+
 def test_small_images_are_left_alone() -> None:
     image = collimated(torso(120, 100), (20, 120, 0, 100), 6.5)
     assert exposed_field(image) == (0, 120, 0, 100)

@@ -184,6 +184,16 @@ def test_more_poses_are_looked_at_where_the_answer_does_not_convince(pair, monke
     assert _pde_mm(pair, found.parameters) < 0.5
 
 
+@pytest.mark.parametrize(("known", "status"), [(True, "ok"), (False, "doubtful")])
+def test_an_answer_that_all_tissue_explains_is_not_doubted_for_what_bone_does_not(pair, monkeypatch, known, status):
+    monkeypatch.setattr("regtorch.registration.hybrid.gain", lambda *given: 1.0)
+    monkeypatch.setattr("regtorch.registration.hybrid.explained", lambda *given: known)
+    settings = {"initial": pair.truth.parameters + FAR, "half_range": HALF_RANGE}
+    found = register(pair.ct, pair.radiograph, "PA", method=partial(SMALL, poses=100), **settings)
+    assert _pde_mm(pair, found.parameters) < 0.5
+    assert found.status == status
+
+
 def test_the_rescue_climbs_without_slopes(pair):
     """From 40 mm off, among places that lie wrong: each start ends as its own place, none below where it began."""
     problem = pair.problem(list(range(9)), initial=pair.truth.parameters, half_range=HALF_RANGE)

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 import regtorch
 from experiments import simulation_study
@@ -129,6 +130,12 @@ def test_settings_are_the_same_however_they_were_given(settings, tmp_path):
     refuse_to_mix(settings("dof=6", "arm=6-DOF"), tmp_path, CASES)
     with pytest.raises(RegtorchError, match="another 'arm'"):
         refuse_to_mix(settings("dof=6", "arm=other"), tmp_path, CASES)
+
+
+def test_a_setting_that_a_folder_has_not_is_another_than_none(tmp_path):
+    (tmp_path / "settings.yaml").write_text("seeds: 1\n")
+    with pytest.raises(RegtorchError, match="another 'threshold_hu'"):
+        refuse_to_mix(OmegaConf.create({"seeds": 1, "threshold_hu": None}), tmp_path, ())
 
 
 def test_settings_that_another_process_wrote_first_are_not_mixed_with(settings, tmp_path, monkeypatch):
