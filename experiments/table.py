@@ -10,9 +10,11 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
 from regtorch.errors import RegtorchError
+from regtorch.report.rows import MERGED, TABLES
 
 try:
     import fcntl
@@ -20,9 +22,6 @@ except ImportError:  # not a Unix
     fcntl = None
 
 SETTINGS = "settings.yaml"
-
-TABLES = "registrations*.csv"
-"""Names of the tables in a study's folder: one, or one of each process that works on it."""
 
 
 def parse_shard(shard: str | None) -> tuple[int, int]:
@@ -96,10 +95,13 @@ def locked(table: Path) -> Iterator[None]:
         yield
 
 
-def done(folder: Path, key: Iterable[str]) -> set[tuple[str, ...]]:
-    """The cases, as the columns of ``key`` name them, that the folder's tables have."""
+def done(folder: Path, key: list[str]) -> set[tuple[str, ...]]:
+    """The cases, as the columns of ``key`` name them, in the tables of a folder and in the merged one beside it."""
     tables = [csv.DictReader(io.StringIO(whole_lines(table), newline="")) for table in folder.glob(TABLES)]
-    return {tuple(row[column] for column in key) for rows in tables for row in rows}
+    found = {tuple(row[column] for column in key) for rows in tables for row in rows}
+    if (merged := folder.parent / MERGED).is_file():
+        found |= set(pd.read_parquet(merged, columns=key).astype(str).itertuples(index=False, name=None))
+    return found
 
 
 def whole_lines(table: Path) -> str:

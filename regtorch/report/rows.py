@@ -20,7 +20,9 @@ _KEYS = (*_NAMES, "dof", "radiograph_threshold_hu")
 _PLACES = ("ct", "view", "kind")
 """What names, besides its seed, the case that a registration is of: registrations of another are not to be compared."""
 
-_MERGED, _TABLES = "registrations.parquet", "registrations*.csv"
+MERGED, TABLES = "registrations.parquet", "registrations*.csv"
+"""Names of a study's merged table, and of the tables in a folder: one, or one of each process that works on it."""
+
 _NUMBERS = ("initial_pde_mm", "pde_mm", "evaluations", "seconds")
 _KNOWN = ("view", "seed", "status", *_NUMBERS)
 
@@ -28,12 +30,13 @@ _KNOWN = ("view", "seed", "status", *_NUMBERS)
 def tables_of(folder: Path) -> dict[str, list[Path]]:
     """The tables of each arm of a study, by the arm's name; those of ``folder`` itself are of the arm ''.
 
-    A merged table holds all that others hold, and a table of the folder all that its arms' hold.
+    A table of the folder holds all that its arms' hold, but for a merged one: they may have gone on since.
     """
-    if own := _tables_in(folder):
-        return {"": own}
+    own = {"": tables} if (tables := _tables_in(folder)) else {}
+    if own and not (folder / MERGED).is_file():
+        return own
     folders = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: natural(path.name))
-    return {path.name: tables for path in folders if (tables := _tables_in(path))}
+    return own | {path.name: tables for path in folders if (tables := _tables_in(path))}
 
 
 def read_rows(folder: Path) -> pd.DataFrame:
@@ -45,7 +48,7 @@ def read_rows(folder: Path) -> pd.DataFrame:
         raise RegtorchError(f"{folder}: no such folder, expected one of a study")
     tables = tables_of(folder)
     if not tables:
-        raise RegtorchError(f"{folder}: no {_MERGED} or {_TABLES}, expected one there or in its folders")
+        raise RegtorchError(f"{folder}: no {MERGED} or {TABLES}, expected one there or in its folders")
     parts = []
     for arm, paths in tables.items():
         begun = [some for path in paths if not (some := _read(path)).empty]
@@ -56,10 +59,11 @@ def read_rows(folder: Path) -> pd.DataFrame:
             part["arm"] = arm
         elif arm:  # its own, or one of several in a merged table
             part["arm"] = part.arm.where(part.arm == arm, f"{arm}, " + part.arm)
-        parts.append(part.drop_duplicates([*_named(part), "seed"], keep="last"))
+        parts.append(part)
     if not parts:
         raise RegtorchError(f"{folder}: tables without rows, expected registrations")
-    return pd.concat(parts, ignore_index=True)
+    rows = pd.concat(parts, ignore_index=True)
+    return rows.drop_duplicates([*_named(rows), "seed"], keep="last", ignore_index=True)
 
 
 def read_table(text: str, types: Mapping[str, str] | None = None) -> pd.DataFrame:
@@ -111,8 +115,8 @@ def shown(value: object) -> str:
 
 
 def _tables_in(folder: Path) -> list[Path]:
-    merged = folder / _MERGED
-    return [merged] if merged.is_file() else sorted(folder.glob(_TABLES))
+    merged = folder / MERGED
+    return [*([merged] if merged.is_file() else []), *sorted(folder.glob(TABLES))]
 
 
 def _read(path: Path) -> pd.DataFrame:

@@ -7,10 +7,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from experiments.merge import merge
+from experiments.merge import KEY, merge
 from experiments.simulation_study import COLUMNS
-from experiments.table import append
+from experiments.table import append, done
 from regtorch.errors import RegtorchError
+from regtorch.report.rows import read_rows
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -18,8 +19,15 @@ ROOT = Path(__file__).parent.parent.parent
 def _write(table: Path, arm: str, seeds: range) -> None:
     table.parent.mkdir(parents=True, exist_ok=True)
     for seed in seeds:
-        row = dict.fromkeys(COLUMNS, 1 / (seed + 3)) | {"arm": arm, "view": "PA", "seed": seed, "status": "ok"}
-        append(table, row | {"within_region": seed % 2 == 0, "marker_x_mm": None, "message": "a, b"})
+        row = dict.fromkeys(COLUMNS, 1 / (seed + 3)) | {
+            "arm": arm,
+            "view": "PA",
+            "dof": 9,
+            "seed": seed,
+            "status": "ok",
+        }
+        row |= {"within_region": seed % 2 == 0, "marker_x_mm": None, "message": "a, b", "version": "0.1.0+abc"}
+        append(table, row)
 
 
 def test_arms_and_shards_are_one_sorted_table(tmp_path):
@@ -57,6 +65,37 @@ def test_the_same_rows_make_the_same_file(tmp_path):
         merge(tmp_path / name)
         files.append((tmp_path / name / "registrations.parquet").read_bytes())
     assert files[0] == files[1]
+
+
+def test_rows_that_only_the_merged_table_has_stay(tmp_path):
+    """Tables of the arms are not kept for ever; what goes on after that adds to the merged one, and is read with it."""
+    table, other = (tmp_path / "a" / f"registrations{part}.csv" for part in ("", "-0"))
+    _write(table, "a", range(4))
+    merge(tmp_path)
+    whole = (tmp_path / "registrations.parquet").read_bytes()
+    table.unlink()
+    assert done(table.parent, KEY) == {("a", "PA", str(seed)) for seed in range(4)}
+    merge(tmp_path)
+    assert (tmp_path / "registrations.parquet").read_bytes() == whole
+    _write(other, "a", range(3, 6))
+    assert len(read_rows(tmp_path)) == 6
+    assert merge(tmp_path).seed.tolist() == [0, 1, 2, 3, 4, 5]
+    other.unlink()
+    _write(table, "a", range(6))
+    (tmp_path / "one").mkdir()
+    table.parent.rename(tmp_path / "one" / "a")
+    merge(tmp_path / "one")
+    again = (tmp_path / "one" / "registrations.parquet").read_bytes()
+    assert (tmp_path / "registrations.parquet").read_bytes() == again
+
+
+@pytest.mark.parametrize("other", [{"view": "PA"}, {"arm": "b", "view": "PA", "seed": 1, "more": 2}])
+def test_tables_of_another_study_are_refused(tmp_path, other):
+    _write(tmp_path / "a" / "registrations.csv", "a", range(2))
+    (tmp_path / "b").mkdir()
+    append(tmp_path / "b" / "registrations.csv", other)
+    with pytest.raises(RegtorchError, match=r"b/registrations\.csv: (no column 'arm'|other columns)"):
+        merge(tmp_path)
 
 
 def test_a_registration_that_is_there_twice_is_refused(tmp_path):
