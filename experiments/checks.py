@@ -3,9 +3,13 @@
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
+from beartype import BeartypeConf
+from beartype.door import is_bearable
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -14,10 +18,12 @@ from hydra.errors import InstantiationException
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from experiments.command import told_in_one_line
 from experiments.table import parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError
+from regtorch.files import one_line
 from regtorch.geometry import VIEWS
 from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
 from regtorch.registration.hybrid import hybrid
@@ -27,6 +33,8 @@ CASES = ("views", "seeds", "first_seed", "shard", "failed_mm", "pictures", "thre
 """Settings that rows of one folder need not share."""
 
 COMPONENTS = ("data", "radiograph", "registration", "similarity")
+
+_WHOLE_NUMBERS_ARE_NUMBERS = BeartypeConf(is_pep484_tower=True)
 
 Rule = tuple[Callable[[Any], bool], str]
 
@@ -54,6 +62,7 @@ _FILE = (lambda v: v is None or Path(v).exists(), "a file that exists")
 _RULES: dict[str, Rule] = {
     "dof": (lambda v: v in (9, 7, 6), "9, 7 or 6"),
     "arm": _FOLDER,
+    "out": (lambda v: isinstance(v, str) and v != "", "a folder"),
     "views": (lambda v: 0 < len(v) == len(set(v)) and set(v) <= {*VIEWS}, f"some of {', '.join(VIEWS)}, each once"),
     "threshold_hu": _or_null(_number(-1000, 3000)),
     "seeds": _whole(1),
@@ -62,7 +71,7 @@ _RULES: dict[str, Rule] = {
     "pictures": _whole(0),
     "failed_mm": _number(0, _MM),
     "least_targets": _whole(1),
-    "searched_deviations": _number(0, 100),
+    "searched_deviations": _number(1e-6, 100),
     "detector.rows": _whole(LEAST_PIXELS, MOST_PIXELS),
     "detector.columns": _whole(LEAST_PIXELS, MOST_PIXELS),
     "detector.pixel_mm": _number(1e-3, 100),
@@ -93,6 +102,10 @@ def _all_or_exit(jobs: Iterator[DictConfig]) -> None:
     with told_in_one_line("simulation_study"):
         for job in jobs:
             HydraConfig.instance().set_config(job)
+            try:
+                OmegaConf.resolve(OmegaConf.masked_copy(job, [key for key in job if key != "hydra"]))
+            except OmegaConfBaseException as error:
+                raise RegtorchError(one_line(error)) from None
             check(OmegaConf.masked_copy(job, [key for key in job if key != "hydra"]))
             table = Path(job.out, job.arm, table_name(job.shard))
             if table in tables:
@@ -141,7 +154,29 @@ def component(config: DictConfig) -> Callable[..., Any]:
 def _checked(config: DictConfig, key: str) -> Callable[..., Any]:
     try:
         made = component(config[key])
-        inspect.signature(getattr(made, "func", made)).bind_partial(**getattr(made, "keywords", {}))
     except (InstantiationException, TypeError, ValueError) as error:
-        raise RegtorchError(f"{key}: {str(error).splitlines()[0]}") from None
+        raise RegtorchError(f"{key}: {one_line(error)}") from None
+    _check_options(key, made)
     return made
+
+
+def _check_options(key: str, made: Any) -> None:
+    """Those of a function or a dataclass, and of what these are given in turn."""
+    if isinstance(made, partial):
+        call, options = made.func, made.keywords
+    elif is_dataclass(made) and not isinstance(made, type):
+        call, options = type(made), vars(made)
+    else:
+        for number, each in enumerate(made if isinstance(made, list | tuple) else ()):
+            _check_options(f"{key}.{number}", each)
+        return
+    try:
+        inspect.signature(call).bind_partial(**options)
+    except TypeError as error:
+        raise RegtorchError(f"{key}: {error}") from None
+    kinds = get_type_hints(call)
+    for name, value in options.items():
+        _check_options(f"{key}.{name}", value)
+        some = tuple(value) if isinstance(value, list) else value
+        if name in kinds and not is_bearable(some, kinds[name], conf=_WHOLE_NUMBERS_ARE_NUMBERS):
+            raise RegtorchError(f"{key}.{name}={value}: expected {inspect.formatannotation(kinds[name])}")

@@ -58,16 +58,16 @@ def run(config: DictConfig) -> None:
     folder = Path(config.out) / config.arm
     refuse_to_mix(config, folder, CASES)
     study = Study(config) if _missing(config, folder) else None
-    keep(config, folder, CASES)
-    if study:
-        study.write_defaults()
     table = folder / table_name(config.shard)
     with locked(table):
         missing, count = _missing(config, folder), len(cases(config))
         name = config.arm if config.shard is None else f"{config.arm} {config.shard}"
         bar = tqdm(missing, name, count, initial=count - len(missing), unit="registration", mininterval=1)
         for case in bar:
-            append(table, study.row(case, bar.set_postfix_str))
+            row = study.row(case, bar.set_postfix_str)
+            keep(config, folder, CASES)
+            study.write_defaults()
+            append(table, row)
 
 
 def _missing(config: DictConfig, folder: Path) -> list[Case]:

@@ -38,6 +38,12 @@ STUDIES = sorted(path.stem for path in (ROOT / "conf" / "study").glob("*.yaml"))
         ("radiograph.photons=0", "radiograph.photons"),
         ("similarity=normalized_cross_correlation", "similarity"),
         ("+registration.pses=3", "registration: got an unexpected keyword argument 'pses'"),
+        ("+registration.climb.dampng=3", "registration.climb: got an unexpected keyword argument 'dampng'"),
+        ("registration.poses=many", "registration.poses=many: expected int"),
+        ("registration.edges_px=[a]", "registration.edges_px=.*: expected "),
+        ("data.spacing_mm=coarse", "data.spacing_mm=coarse: expected float"),
+        ("radiograph.threshold_hu=bone", r"radiograph.threshold_hu=bone: expected float \| None"),
+        ("out=null", "out=None: expected a folder"),
     ],
 )
 def test_a_wrong_setting_is_named(settings, wrong, key):
@@ -76,6 +82,7 @@ def test_files_are_looked_for(settings, tmp_path):
         (["dof=5"], 2, "error: dof=5: expected 9, 7 or 6"),
         (["-m", "dof=9,5"], 2, "error: dof=5: expected 9, 7 or 6"),
         (["-m", "shard=0/2,0/2"], 2, "error: arm=9-DOF, shard=0/2: two jobs"),
+        (["registration.first.pixels=abc"], 2, "error: registration.first.pixels=abc: expected int"),
         (["data.spacing_mm=0.1"], 2, "error: phantom: spacing of 0.1 mm"),
         (["registration.pses=3"], 1, "Key 'pses' is not in struct"),
         (["study=none"], 1, "Could not find 'study/none'"),
@@ -107,3 +114,16 @@ def test_every_study_has_settings_that_work(study):
             CheckFirst().on_multirun_start(config)
         finally:
             HydraConfig.instance().cfg = None
+
+
+def test_settings_that_refer_to_what_is_not_there_end_in_one_line(capsys):
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("simulation_study", ["study=levels", "registration.pixels=[64]"], return_hydra_config=True)
+        try:
+            with pytest.raises(SystemExit):
+                CheckFirst().on_run_start(config)
+        finally:
+            HydraConfig.instance().cfg = None
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("simulation_study: error: ")
+    assert "registration.pixels" in line
