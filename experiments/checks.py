@@ -29,7 +29,7 @@ from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
 from regtorch.registration.hybrid import hybrid
 from regtorch.similarity import gradient_correlation
 
-CASES = ("views", "seeds", "first_seed", "shard", "failed_mm", "pictures", "threads", "out")
+CASES = ("views", "seeds", "first_seed", "shard", "threads", "out")
 """Settings that rows of one folder need not share."""
 
 COMPONENTS = ("data", "radiograph", "registration", "similarity")
@@ -68,8 +68,6 @@ _RULES: dict[str, Rule] = {
     "seeds": _whole(1),
     "first_seed": _whole(0),
     "threads": _whole(1, 1024),
-    "pictures": _whole(0),
-    "failed_mm": _number(0, _MM),
     "least_targets": _whole(1),
     "searched_deviations": _number(1e-6, 100),
     "detector.rows": _whole(LEAST_PIXELS, MOST_PIXELS),

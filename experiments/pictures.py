@@ -15,7 +15,6 @@ from regtorch.files import written_whole
 from regtorch.imaging import Radiograph, Volume, attenuation
 from regtorch.imaging.radiograph import level
 from regtorch.plotting import edge_strength
-from regtorch.registration import Registration
 
 FAILED_MM, GOOD_MM = 5.0, 2.0
 """PDE over which a registration has failed, and under which it should be trusted."""
@@ -24,17 +23,16 @@ _PIXELS, _COLOURS = 250, 128
 _FOUND, _TRUE = np.array([1.0, 0.6, 0.1]), np.array([0.0, 0.45, 0.7])
 
 
-def went_wrong(row: Mapping[str, Any], failed_mm: float = FAILED_MM) -> bool:
-    return row["pde_mm"] > failed_mm or (row["pde_mm"] < GOOD_MM and row["status"] != "ok")
+def went_wrong(row: Mapping[str, Any]) -> bool:
+    return row["pde_mm"] > FAILED_MM or (row["pde_mm"] < GOOD_MM and row["status"] != "ok")
 
 
 def write_picture(
-    path: Path, ct: Volume, radiograph: Radiograph, result: Registration, true: Float[Tensor, "9"]
+    path: Path, ct: Volume, radiograph: Radiograph, view: str, found: Float[Tensor, "9"], true: Float[Tensor, "9"]
 ) -> None:
     """The radiograph with the edges of the bones in orange where they were found, and in blue where they are."""
     small = level(radiograph, _PIXELS)
-    both = torch.stack([true, result.parameters])
-    moving = render(attenuation(ct), both, small.detector, result.view)
+    moving = render(attenuation(ct), torch.stack([true, found]), small.detector, view)
     picture = _grey(small)[..., None].repeat(3, axis=2)
     for drr, colour in zip(moving, (_TRUE, _FOUND), strict=True):
         share = 0.8 * edge_strength(drr).numpy()[..., None]

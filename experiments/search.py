@@ -120,7 +120,8 @@ class Study:
             pictures = Path(self.config.out) / "failures"
             if went_wrong(row) and len(list(pictures.glob("*.png"))) < self.config.pictures:
                 name = "_".join([ct.partition(".")[0], view, kind, str(seed)])
-                write_picture(pictures / f"{name}.png", self.cts[ct], radiograph, result, truth.parameters)
+                path = pictures / f"{name}.png"
+                write_picture(path, self.cts[ct], radiograph, view, result.parameters, truth.parameters)
         return row
 
     def drawn(self, ct: str, view: str, seed: int) -> tuple[Float[Tensor, "9"], Float[Tensor, "9"]]:

@@ -28,7 +28,7 @@ from experiments.command import told_in_one_line, use_threads
 from experiments.data import read
 from experiments.geometries import Geometries, bone_voxels, centred, misplacement
 from experiments.merge import KEY
-from experiments.pictures import FAILED_MM, went_wrong, write_default, write_picture
+from experiments.pictures import write_default
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
 from experiments.table import append, done, keep, locked, parse_shard, refuse_to_mix, table_name
 from regtorch.geometry import KEYS, Detector
@@ -110,11 +110,11 @@ class Study:
         )
 
     def row(self, case: Case, tell: Any = lambda text, refresh: None) -> dict[str, Any]:
-        """Registers one case, and takes a picture of it where it went wrong."""
+        """Registers one case."""
         _, view, seed = case
         geometries = self.geometries(view)
         true, redrawn = geometries.draw(seed)
-        truth, radiograph = self._taken(true, view, seed)
+        truth, radiograph = self.taken(true, view, seed)
         result = register(
             self.ct,
             radiograph,
@@ -135,19 +135,16 @@ class Study:
         if self.config.marker in self.targets:
             marker = self._in_ct(self.targets[self.config.marker])
             row |= misplacement(geometries.default, true, marker, view)
-        pictures = Path(self.config.out) / self.config.arm / "failures"
-        failed_mm = self.config.failed_mm if self.config.dof == 9 else FAILED_MM
-        if went_wrong(row, failed_mm) and len(list(pictures.glob("*.png"))) < self.config.pictures:
-            write_picture(pictures / f"{view}_{seed}.png", self.ct, radiograph, result, true)
         return row
 
     def write_defaults(self) -> None:
         for view in self.config.views:
             path = Path(self.config.out) / f"background_{view}.png"
             if not path.exists():
-                write_default(path, self._taken(self.geometries(view).default, view, 0)[1])
+                write_default(path, self.taken(self.geometries(view).default, view, 0)[1])
 
-    def _taken(self, parameters: torch.Tensor, view: str, seed: int) -> tuple[Simulation, Radiograph]:
+    def taken(self, parameters: torch.Tensor, view: str, seed: int) -> tuple[Simulation, Radiograph]:
+        """The radiograph with these parameters, and what is true of it."""
         truth = self.radiograph(self.ct, parameters, view, detector=self.detector, targets=self.targets, seed=seed)
         return truth, Radiograph.from_image(truth.image, self.detector)
 

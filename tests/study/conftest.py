@@ -19,7 +19,6 @@ TINY = [
     "registration.stages=[{_target_: regtorch.registration.hybrid.Stage, pixels: 40, candidates: 2, steps: 3}]",
     "registration.finest={pixels: 60, steps: 3}",
     "seeds=8",
-    "pictures=0",
 ]
 
 Command = Callable[..., list[str]]

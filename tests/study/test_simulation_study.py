@@ -9,19 +9,21 @@ import subprocess
 import time
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
 import regtorch
-from experiments import simulation_study
+from experiments import simulation_study, worst_pictures
 from experiments.checks import CASES
-from experiments.merge import KEY
+from experiments.merge import KEY, merge
 from experiments.rows import code_version
 from experiments.table import append, done, keep, locked, refuse_to_mix, whole_lines
 from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, parameters_from_dict
 from regtorch.imaging.volume_files import write_volume
 from regtorch.phantom import make_phantom
+from regtorch.report import report
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -118,7 +120,7 @@ def test_changed_settings_refuse_to_mix(settings, tmp_path):
     for changed in ("threshold_hu=50", "least_targets=3", "radiograph.photons=1e5", "registration.voxel_per_pixel=2.0"):
         with pytest.raises(RegtorchError, match=f"another '{changed.partition('=')[0].partition('.')[0]}'"):
             simulation_study.run(settings(*first, changed))
-    simulation_study.run(settings(*first[:2], "seeds=2", "pictures=1", "failed_mm=2"))
+    simulation_study.run(settings(*first[:2], "seeds=2"))
     assert len(_read(tmp_path / "9-DOF" / "registrations.csv")) == 2
 
 
@@ -163,9 +165,19 @@ def test_a_second_process_leaves_a_table_alone(run, tmp_path):
         pass
 
 
-def test_a_failure_leaves_a_picture(settings, tmp_path):
-    simulation_study.run(settings(f"out={tmp_path}", "seeds=2", "pictures=1", "failed_mm=0"))
-    assert [path.name for path in (tmp_path / "9-DOF" / "failures").iterdir()] == ["PA_0.png"]
+def test_the_worst_have_pictures(settings, tmp_path):
+    """Of the merged table alone, with the arm's settings."""
+    simulation_study.run(settings(f"out={tmp_path}", "seeds=2"))
+    merge(tmp_path)
+    (tmp_path / "9-DOF" / "registrations.csv").unlink()
+    worst_pictures.main(tmp_path, 2)
+    rows = pd.read_parquet(tmp_path / "registrations.parquet").nlargest(2, "pde_mm")
+    wanted = {f"{view}_{seed}.png" for view, seed in zip(rows["view"], rows["seed"], strict=True)}
+    assert {path.name for path in (tmp_path / "9-DOF" / "failures").iterdir()} == wanted
+    assert report(tmp_path).count("data:image/png") == 2 + 2  # and two figures
+    (tmp_path / "9-DOF" / "settings.yaml").unlink()
+    with pytest.raises(RegtorchError, match=r"9-DOF/settings\.yaml: no such file, expected the settings"):
+        worst_pictures.main(tmp_path, 2)
 
 
 @pytest.mark.parametrize("named", [False, True])
