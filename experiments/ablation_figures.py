@@ -31,6 +31,8 @@ from regtorch.report.summary import distance
 _SHARES = {1: {"markerfacecolor": "white", "markersize": 9}, 5: {"markersize": 5}}
 """Of registrations under so many mm, by how they are drawn: where both are alike, one is seen in the other."""
 
+_ENOUGH = 6  # 1 - 2 / 2**n
+
 _SPREAD = 0.7  # of an arm's views, where arms are 1 apart
 
 
@@ -85,6 +87,8 @@ def table(rows: pd.DataFrame, found: pd.DataFrame, reference: str) -> str:
     note = "PDE in the detector plane, mm. Medians, where nothing else is said; in brackets 95 % intervals, those of\n"
     note += "medians by bootstrap, of shares by Wilson. p: Wilcoxon's signed-rank test of the logarithms of PDE, in\n"
     note += f"pairs of like {', '.join(cases)}, two-sided; corrected for the number of arms by Holm.\n"
+    if found.n.min() < _ENOUGH:
+        note += f"Of fewer than {_ENOUGH} not even their whole range holds the median with 95 %.\n"
     return "\n".join(["## Arms\n", alone, f"## Against {reference}\n", markdown.table(header, lines), note])
 
 
