@@ -18,7 +18,7 @@ _TISSUE_HU, _PADDING_HU = -300, -1500
 
 def check_volume(volume: Volume) -> list[str]:
     """What looks wrong with a CT in HU."""
-    found = []
+    found = list(volume.warnings)
     every = max(1, volume.data.numel() // 250_000)
     values = volume.data.flatten()[::every]
     lowest, highest = (float(v) for v in values.quantile(torch.tensor([0.005, 0.999], dtype=values.dtype)))
@@ -33,7 +33,7 @@ def check_volume(volume: Volume) -> list[str]:
     # The densest thousandth of any bone that a radiograph shows is beyond 300 HU, contrast or not.
     elif highest < 200:
         found.append(f"no bone: the highest values are about {highest:.0f} HU, where bone has 300 and more")
-    elif not found and (cut := _cut_at_the_sides(volume)) > 0.4:
+    elif len(found) == len(volume.warnings) and (cut := _cut_at_the_sides(volume)) > 0.4:
         share = f"{100 * cut:.0f} % of the lines through it end there"
         found.append(f"the body is cut at a side ({share}): only to head and foot the search lets it go on")
     sizes = volume.spacing_mm.tolist()

@@ -18,8 +18,11 @@ from regtorch.imaging.volume import Volume
 _KEYWORDS = [
     *("Modality", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "NumberOfFrames", "SamplesPerPixel"),
     *("Rows", "Columns", "PixelSpacing", "ImagePositionPatient", "ImageOrientationPatient", "SliceThickness"),
-    *("RescaleSlope", "RescaleIntercept"),
+    *("RescaleSlope", "RescaleIntercept", "PixelPaddingValue"),
 ]
+_CT_IMAGE = "1.2.840.10008.5.1.4.1.1.2"
+_AIR_HU, _DENSEST_HU = -1024, 4000
+"""What padding becomes that would be denser than any bone; metal ends above 3,000 HU in most scanners."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,13 @@ def _headers(folder: Path) -> dict[Path, Dataset]:
     """Of the DICOM images in the folder; other files lie there undisturbed."""
     inside = sorted(folder.iterdir())
     found = {p: read_header(p, _KEYWORDS) for p in inside if p.is_file()}
+    for path, header in found.items():
+        if header is None:
+            broken = path.suffix.lower() == ".dcm" and not path.name.startswith(".")
+        else:
+            broken = "Rows" not in header and header.file_meta.get("MediaStorageSOPClassUID") == _CT_IMAGE
+        if broken:
+            raise RegtorchError(f"{path}: cannot be read (cut short, or no DICOM preamble), expected a whole CT slice")
     found = {path: header for path, header in found.items() if header is not None and "Rows" in header}
     if not found:
         folders = sum(p.is_dir() for p in inside)
@@ -164,5 +174,17 @@ def _hounsfield(item: _Slice) -> Float[ndarray, "h w"]:
     stored = read_pixels(item.path)
     if stored.shape != item.shape:
         raise RegtorchError(f"{item.path}: pixels of shape {stored.shape}, expected {item.shape}")
-    slope, intercept = number(item.header, "RescaleSlope"), number(item.header, "RescaleIntercept")
-    return stored * np.float32(1 if slope is None else slope) + np.float32(intercept or 0)
+    slope, intercept = (_scale(item, *each) for each in (("RescaleSlope", 1.0), ("RescaleIntercept", 0.0)))
+    values = stored * np.float32(slope) + np.float32(intercept)
+    padding = number(item.header, "PixelPaddingValue")
+    if padding is not None:
+        same = (stored.astype(np.int64) - int(padding)) % 65536 == 0  # signed in one tag, unsigned in the other
+        values[same & (values > _DENSEST_HU)] = _AIR_HU
+    return values
+
+
+def _scale(item: _Slice, keyword: str, default: float) -> float:
+    stated, value = words(item.header, keyword), number(item.header, keyword)
+    if stated and value is None:
+        raise RegtorchError(f"{item.path}: {keyword} is {', '.join(stated)}, expected a number")
+    return default if value is None else value

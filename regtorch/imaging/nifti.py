@@ -1,4 +1,5 @@
-"""What NIfTI's C reader passes over in silence: it fills a cut file with zeros and turns NaN into 0."""
+"""What NIfTI's C reader passes over in silence: it fills a cut file with zeros, turns NaN into 0, and chooses where a
+header tells two places."""
 
 import gzip
 import zlib
@@ -6,6 +7,7 @@ from io import BufferedIOBase
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Shaped
 
 from regtorch.errors import RegtorchError
 from regtorch.files import one_line
@@ -14,17 +16,21 @@ _FLOATS = {16: "f4", 64: "f8"}
 _BLOCK = 1 << 22
 
 
-def check_nifti(path: Path) -> None:
-    """Raises ``RegtorchError`` for a file that is cut short, damaged or has values that are not finite."""
+def check_nifti(path: Path) -> tuple[str, ...]:
+    """What looks wrong with the header.
+
+    Raises ``RegtorchError`` for a file that is cut short or damaged, has values that are not finite, or voxels of two
+    sizes or in two places.
+    """
     opener = gzip.open if path.name.lower().endswith(".gz") else open
     try:
         with opener(path, "rb") as file:
-            _check(path, file)
+            return _check(path, file)
     except (OSError, EOFError, zlib.error) as error:
         raise RegtorchError(f"{path}: cannot be read ({one_line(error)}), expected a whole NIfTI file") from error
 
 
-def _check(path: Path, file: BufferedIOBase) -> None:
+def _check(path: Path, file: BufferedIOBase) -> tuple[str, ...]:
     header = file.read(540)
     order, version = _kind(header)
     if version == 1:
@@ -48,6 +54,50 @@ def _check(path: Path, file: BufferedIOBase) -> None:
         raise RegtorchError(f"{path}: {length} bytes of voxels where {wanted} belong, expected a whole NIfTI file")
     if bad:
         raise RegtorchError(f"{path}: {bad} voxel(s) are NaN or infinite, expected HU everywhere")
+    return _check_place(path, header, order, version, dimensions[1:4])
+
+
+def _check_place(path: Path, header: bytes, order: str, version: int, size: Shaped[np.ndarray, "3"]) -> tuple[str, ...]:
+    """The NIfTI standard's method 2 (qform, of ``pixdim`` and a quaternion) and method 3 (sform, an affine matrix)."""
+    kind, code_kind, places = ("f4", "i2", (76, 252, 256, 280)) if version == 1 else ("f8", "i4", (104, 344, 352, 400))
+    pixdim = np.frombuffer(header, order + kind, 8, places[0]).astype(float)
+    qform, sform = np.frombuffer(header, order + code_kind, 2, places[1]).tolist()
+    b, c, d, *offset = np.frombuffer(header, order + kind, 6, places[2]).astype(float).tolist()
+    by_sform = np.frombuffer(header, order + kind, 12, places[3]).astype(float).reshape(3, 4)
+    voxel = pixdim[1:4]
+    if not (np.isfinite(voxel).all() and voxel.min() > 0):
+        raise RegtorchError(f"{path}: voxel size (pixdim) {voxel.tolist()} mm, expected three positive numbers")
+    if sform > 0:
+        columns = np.linalg.norm(by_sform[:, :3], axis=0)
+        if _upright(by_sform[:, :3]) and not np.allclose(columns, voxel, rtol=0.01):
+            sizes = " and ".join(" x ".join(f"{mm:.3g}" for mm in each) for each in (voxel, columns))
+            raise RegtorchError(f"{path}: voxels of {sizes} mm by pixdim and by sform, expected one size")
+    if sform > 0 and qform > 0:
+        a = max(0.0, 1 - b * b - c * c - d * d) ** 0.5
+        turn = np.array(
+            [
+                [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
+                [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
+                [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - c * c - b * b],
+            ]
+        )
+        along = voxel * (1, 1, -1 if pixdim[0] < 0 else 1)
+        by_qform = np.column_stack([turn * along, offset])
+        corners = np.array([[*at, 1] for at in np.ndindex(2, 2, 2)]) * [*(size.astype(float) - 1), 1]
+        apart = float(np.linalg.norm(corners @ (by_sform - by_qform).T, axis=1).max())
+        if not apart < 0.5 * voxel.min():
+            raise RegtorchError(
+                f"{path}: sform and qform put voxels up to {apart:.3g} mm apart, expected one place (the other code 0)"
+            )
+    if sform <= 0 and qform <= 0:
+        return ("no orientation is stated (qform and sform codes are 0): rows are taken to run to the left, then back",)
+    return ()
+
+
+def _upright(axes: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether columns are at 90 degrees; others the reader refuses."""
+    cosines = axes.T @ axes / np.outer(*[np.linalg.norm(axes, axis=0)] * 2)
+    return bool(np.abs(cosines - np.eye(3)).max() < 1e-3)
 
 
 def _kind(header: bytes) -> tuple[str, int]:

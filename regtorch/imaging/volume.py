@@ -19,6 +19,7 @@ class Volume:
     coarsening leave it where it is, so that the nine parameters keep their meaning.
     ``unit`` is ``"HU"`` or, after ``attenuation``, ``"per_mm"``. ``name`` says in messages where it came from.
     ``slice_thickness_mm`` is what a DICOM series says of its slices, which may be thinner than their distance.
+    ``warnings`` are what looked wrong when it was read.
     ``sharpness`` (along i, j, k) is how to read between voxels: with 1 a value goes over into the next one's linearly
     from centre to centre, with s on the middle 1/s of that way, and voxels are constant else.
     """
@@ -30,6 +31,7 @@ class Volume:
     name: str = "volume"
     slice_thickness_mm: float | None = None
     sharpness: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def from_grid(
@@ -38,12 +40,13 @@ class Volume:
         patient_from_voxel: Float[Tensor, "4 4"],
         name: str = "volume",
         slice_thickness_mm: float | None = None,
+        warnings: tuple[str, ...] = (),
     ) -> "Volume":
         """A whole CT in HU, whose centre becomes the origin of its ``ct`` frame."""
         patient_from_voxel = patient_from_voxel.double()
         last = torch.tensor([n - 1.0 for n in data.shape[:-4:-1]], dtype=torch.float64)
         origin = patient_from_voxel[:3, :3] @ (last / 2) + patient_from_voxel[:3, 3]
-        return cls(data, patient_from_voxel, origin, "HU", name, slice_thickness_mm)
+        return cls(data, patient_from_voxel, origin, "HU", name, slice_thickness_mm, warnings=warnings)
 
     @property
     def spacing_mm(self) -> Float[Tensor, "3"]:

@@ -54,8 +54,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
 
 
 def _read_file(path: Path) -> Volume:
-    if path.name.lower().endswith((".nii", ".nii.gz")):
-        check_nifti(path)
+    warnings = check_nifti(path) if path.name.lower().endswith((".nii", ".nii.gz")) else _nrrd_warnings(path)
     with native_silence():
         try:
             image = SimpleITK.ReadImage(str(path))
@@ -79,4 +78,15 @@ def _read_file(path: Path) -> Volume:
     if not bool(patient_from_voxel.isfinite().all()) or float(spacing.min()) <= 0:
         raise RegtorchError(f"{path}: voxel size {spacing.tolist()} mm, expected three positive numbers")
     values = SimpleITK.GetArrayViewFromImage(image).astype(np.float32)
-    return Volume.from_grid(torch.from_numpy(values), patient_from_voxel, path.name)
+    return Volume.from_grid(torch.from_numpy(values), patient_from_voxel, path.name, warnings=warnings)
+
+
+def _nrrd_warnings(path: Path) -> tuple[str, ...]:
+    """Of the text before the voxels, which ends with an empty line."""
+    if not path.name.lower().endswith(".nrrd"):
+        return ()
+    with path.open("rb") as file:
+        header = iter(lambda: file.readline(1 << 16).strip(), b"")
+        if any(line.lower().startswith(b"space:") for line in header):
+            return ()
+    return ("no orientation is stated (no 'space'): rows are taken to run to the left, then back",)

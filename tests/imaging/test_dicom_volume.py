@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from pydicom.dataset import Dataset
@@ -91,6 +92,40 @@ def test_refusals(tmp_path: Path, ct_slice: Slices, message: str, capfd: pytest.
     assert str(folder) in str(refusal.value)
     assert "\n" not in str(refusal.value)
     assert capfd.readouterr().err == ""
+
+
+def test_padding_denser_than_bone_is_air(tmp_path: Path, ct_slice: Slices) -> None:
+    """-2000 kept as an unsigned number; padding that is air, or what water is, stays what it is."""
+    stored = np.arange(20, dtype=np.uint16).reshape(4, 5)
+    stored[0, :2] = 63536
+    for padding, vr in ((63536, "US"), (-2000, "SS")):
+        slices = [ct_slice(k, PixelData=stored.tobytes(), PixelRepresentation=0) for k in range(2)]
+        for each in slices:
+            each.add_new("PixelPaddingValue", vr, padding)
+        folder = write(tmp_path / vr, slices)
+        hu = read_volume(folder).data[0, 0]
+        assert hu[:3].tolist() == [-1024, -1024, 2 - 1024]
+    slices = [ct_slice(k, PixelPaddingValue=7) for k in range(2)]
+    assert read_volume(write(tmp_path / "seven", slices)).data[0, 1, 2] == 7 - 1024
+
+
+def test_an_intercept_that_is_no_number_is_not_taken_for_none(tmp_path: Path, ct_slice: Slices) -> None:
+    folder = write(tmp_path / "ct", [ct_slice(k) for k in range(2)])
+    (folder / "1.dcm").write_bytes((folder / "1.dcm").read_bytes().replace(b"-1024.0", b"-1024,0"))
+    with pytest.raises(RegtorchError, match=r"1\.dcm: RescaleIntercept is -1024,0, expected a number"):
+        read_volume(folder)
+
+
+def test_a_slice_that_cannot_be_read_is_not_passed_over(tmp_path: Path, ct_slice: Slices) -> None:
+    folder = write(tmp_path / "ct", [ct_slice(k) for k in range(4)])
+    (folder / "._0.dcm").write_bytes(b"what another system left")
+    (folder / "notes.txt").write_text("of no concern")
+    assert read_volume(folder).data.shape[0] == 4
+    whole = (folder / "3.dcm").read_bytes()
+    for broken in (whole[132:], whole[: whole.index(b"US", 400) - 4]):
+        (folder / "3.dcm").write_bytes(broken)
+        with pytest.raises(RegtorchError, match=r"3\.dcm: cannot be read .*expected a whole CT slice"):
+            read_volume(folder)
 
 
 def test_no_dicom_in_the_folder(tmp_path: Path, ct_slice: Slices) -> None:

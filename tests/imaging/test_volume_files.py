@@ -8,7 +8,7 @@ import SimpleITK
 import torch
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Volume, read_volume, write_volume
+from regtorch.imaging import Volume, check_volume, read_volume, write_volume
 
 SUFFIXES = ["nii", "nii.gz", "nrrd", "mha"]
 AXES = {
@@ -111,6 +111,51 @@ def test_sheared_axes(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[
     with pytest.raises(RegtorchError, match="not at 90 degrees"):
         read_volume(path)
     assert capfd.readouterr() == ("", "")
+
+
+def _edited(path: Path, version: int, **fields: np.ndarray) -> Path:
+    """A NIfTI file of the same voxels with other values in its header."""
+    places = {"pixdim": (80, 108), "qform_code": (252, 344), "sform_code": (254, 348), "sform": (280, 400)}
+    header = bytearray(path.read_bytes())
+    for name, values in fields.items():
+        at = places[name][version - 1]
+        header[at : at + values.nbytes] = values.tobytes()
+    path.write_bytes(bytes(header))
+    return path
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_a_nifti_that_tells_two_places_is_refused(tmp_path: Path, axes: str) -> None:
+    """Readers differ in which they believe."""
+    write_volume(path := tmp_path / "ct.nii", volume_of(AXES[axes]))
+    sform = np.frombuffer(path.read_bytes(), "<f4", 12, 280).reshape(3, 4).copy()
+    both = {"qform_code": np.array(1, "<i2"), "sform_code": np.array(1, "<i2")}
+    right = read_volume(_edited(path, 1, **both))
+    assert right.warnings == ()
+    torch.testing.assert_close(right.patient_from_voxel, volume_of(AXES[axes]).patient_from_voxel, atol=1e-3, rtol=0)
+    mirrored = sform * [-1, 1, 1, 1]
+    for wrong in (mirrored, sform + [[0, 0, 0, 3]] * 3):
+        with pytest.raises(RegtorchError, match=r"ct\.nii: sform and qform put voxels up to [\d.]+ mm apart"):
+            read_volume(_edited(path, 1, sform=wrong.astype("<f4")))
+    with pytest.raises(RegtorchError, match=r"voxels of 0\.5 x 0\.75 x 2 and 1 x 1\.5 x 4 mm by pixdim and by sform"):
+        read_volume(_edited(path, 1, sform=(2 * sform).astype("<f4"), qform_code=np.array(0, "<i2")))
+    neither = {"qform_code": np.array(0, "<i2"), "sform_code": np.array(0, "<i2")}
+    (warning,) = read_volume(_edited(path, 1, **neither)).warnings
+    assert "no orientation is stated" in warning
+    with pytest.raises(RegtorchError, match=r"\(pixdim\) \[0\.5, 0\.0, 2\.0\] mm, expected three positive"):
+        read_volume(_edited(path, 1, pixdim=np.array([0.5, 0, 2], "<f4")))
+
+
+def test_an_nrrd_without_a_space_is_told_of(tmp_path: Path) -> None:
+    write_volume(path := tmp_path / "ct.nrrd", volume_of(AXES["LPS"]))
+    assert read_volume(path).warnings == ()
+    header, _, voxels = path.read_bytes().partition(b"\n\n")
+    lines = [line for line in header.split(b"\n") if not line.startswith((b"space", b"kinds"))]
+    lines.insert(-1, b"spacings: 0.5 0.75 2")
+    path.write_bytes(b"\n".join(lines) + b"\n\n" + voxels)
+    volume = read_volume(path)
+    assert volume.spacing_mm.tolist() == [0.5, 0.75, 2]
+    assert "no orientation is stated" in check_volume(volume)[0]
 
 
 def test_missing_and_unknown(tmp_path: Path) -> None:
