@@ -4,13 +4,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Bool, Shaped
 from numpy import ndarray
+from PIL import Image, ImageDraw
 from pydicom import Dataset
 
 from regtorch.errors import RegtorchError
 from regtorch.imaging.dicom import number, numbers, quiet, read_header, read_pixels, words
-from regtorch.imaging.field import Box
 from regtorch.imaging.intensity import Meaning, dicom_meaning
 
 _PROJECTIONS = ("CR", "DX", "RF", "XA")
@@ -19,6 +19,8 @@ _NOT_PROJECTIONS = ("CT", "MR", "PT", "NM", "US")
 _VIEW_POSITIONS = {"PA": ("PA",), "AP": ("AP",), "LL": ("LLAT", "LAT"), "RL": ("RLAT",)}
 SDD_RANGE_MM = (300.0, 6000.0)
 """From a small C-arm to the longest room; DICOM writers put 0 where they know nothing."""
+_LEAST_OPENING = 1 / 16
+"""Of the image, that a shutter leaves."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,6 @@ class StoredRadiograph:
     sdd_mm: float | None = None
     orientation: tuple[str, str] | None = None
     unused: Shaped[ndarray, "h w"] | None = None
-    shutter: Box | None = None
     warnings: list[str] = field(default_factory=list)
 
 
@@ -59,8 +60,7 @@ def read_dicom(path: Path, view: str, intensity: str, pixel_mm: float | None) ->
             stated_mm if pixel_mm is None else pixel_mm,
             _sdd_mm(header, found),
             _orientation(header, found),
-            _padding(header, stored),
-            _shutter(header),
+            _padding(header, stored) | _shuttered(header, found),
             found,
         )
 
@@ -120,6 +120,8 @@ def _check_aspect(path: Path, header: Dataset) -> None:
 def _sdd_mm(header: Dataset, found: list[str]) -> float | None:
     stated = number(header, "DistanceSourceToDetector")
     if not stated:
+        if stated is None and (told := words(header, "DistanceSourceToDetector")):
+            found.append(f"DistanceSourceToDetector is {', '.join(told)}, which is no number")
         return None
     low, high = SDD_RANGE_MM
     if not low <= stated <= high:
@@ -136,25 +138,49 @@ def _orientation(header: Dataset, found: list[str]) -> tuple[str, str] | None:
     return directions[0], directions[1]
 
 
-def _padding(header: Dataset, stored: Shaped[ndarray, "h w"]) -> Shaped[ndarray, "h w"] | None:
+def _padding(header: Dataset, stored: Shaped[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
     low = number(header, "PixelPaddingValue")
     if low is None:
-        return None
+        return np.zeros(stored.shape, bool)
     limit = number(header, "PixelPaddingRangeLimit")
     high = low if limit is None else limit
     return (stored >= min(low, high)) & (stored <= max(low, high))
 
 
-def _shutter(header: Dataset) -> Box | None:
-    """A rectangular display shutter, whose edges are given as the pixels just outside, counted from 1."""
-    if "RECTANGULAR" not in words(header, "ShutterShape"):
-        return None
-    edges = [
-        number(header, f"Shutter{e}Edge")
-        for e in ("UpperHorizontal", "LowerHorizontal", "LeftVertical", "RightVertical")
-    ]
-    if None in edges:
-        return None
-    top, bottom, left, right = (int(e) for e in edges if e is not None)
-    box = max(0, top), min(header.Rows, bottom - 1), max(0, left), min(header.Columns, right - 1)
-    return box if box[1] - box[0] > header.Rows // 4 and box[3] - box[2] > header.Columns // 4 else None
+def _shuttered(header: Dataset, found: list[str]) -> Bool[ndarray, "h w"]:
+    """Where display shutters lie (DICOM PS3.3 C.7.6.11): rows and columns are counted from 1."""
+    rows, columns = header.Rows, header.Columns
+    row, column = np.mgrid[1 : rows + 1, 1 : columns + 1]
+    closed = np.zeros((rows, columns), bool)
+    for shape in words(header, "ShutterShape"):
+        opening = _opening(header, shape, row, column)
+        if opening is None or opening.mean() < _LEAST_OPENING:
+            found.append(f"the {shape} shutter is not understood or leaves next to nothing: it is not used")
+        else:
+            closed |= ~opening
+    return closed
+
+
+def _opening(
+    header: Dataset, shape: str, row: Shaped[ndarray, "h w"], column: Shaped[ndarray, "h w"]
+) -> Bool[ndarray, "h w"] | None:
+    if shape == "RECTANGULAR":  # its edges are the lines just outside
+        names = ("UpperHorizontal", "LowerHorizontal", "LeftVertical", "RightVertical")
+        edges = [number(header, f"Shutter{name}Edge") for name in names]
+        if None in edges:
+            return None
+        top, bottom, left, right = edges
+        return (row > top) & (row < bottom) & (column > left) & (column < right)
+    if shape == "CIRCULAR":
+        centre, radius = numbers(header, "CenterOfCircularShutter"), number(header, "RadiusOfCircularShutter")
+        if len(centre) != 2 or radius is None:
+            return None
+        return (row - centre[0]) ** 2 + (column - centre[1]) ** 2 <= radius**2
+    if shape == "POLYGONAL":
+        corners = numbers(header, "VerticesOfThePolygonalShutter")
+        if len(corners) < 6 or len(corners) % 2:
+            return None
+        picture = Image.new("1", (header.Columns, header.Rows))
+        ImageDraw.Draw(picture).polygon([(x - 1, y - 1) for y, x in zip(corners[::2], corners[1::2], strict=True)], 1)
+        return np.array(picture)
+    return None

@@ -67,8 +67,13 @@ def dicom_meaning(header: Dataset, intensity: str) -> Meaning:
             )
         return Meaning(grows, counts=False, top=top, of_stored=False, warnings=tuple(warnings))
     grows = sign != -1
-    if for_display and grows != (monochrome == "MONOCHROME1"):
-        warnings.append(f"PixelIntensityRelationshipSign makes {monochrome} show bone black: the sign is believed")
+    if grows != (monochrome == "MONOCHROME1"):
+        if for_display and sign is not None:
+            warnings.append(f"PixelIntensityRelationshipSign makes {monochrome} show bone black: the sign is believed")
+        elif sign is None and header.get("Modality") not in ("RF", "XA"):
+            warnings.append(
+                f"PixelIntensityRelationship {relation} has no sign: {monochrome} is taken to show bone black"
+            )
     counts = relation == "LIN" and not for_display and intensity == "auto"
     if relation == "LIN" and for_display and intensity == "auto":
         warnings.append("LIN but FOR PRESENTATION: taken as processed for a display, so no logarithm (else say counts)")

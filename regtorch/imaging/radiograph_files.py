@@ -53,10 +53,10 @@ def read_radiograph(
     if stored.pixel_mm is None:
         why = "".join(f" ({w})" for w in stored.warnings if w.endswith("no size"))
         raise RegtorchError(f"{path}: no pixel size in the file{why}, expected the detector's by --pixel-mm")
-    if not np.isfinite(stored.values).all():
-        raise RegtorchError(f"{path}: pixels that are NaN or infinite, expected numbers everywhere")
+    if not np.isfinite(stored.values.astype(np.float32)).all():
+        raise RegtorchError(f"{path}: pixels that are NaN or infinite (beyond 3e38), expected numbers everywhere")
     try:
-        image = torch.from_numpy(line_integrals(stored.values, stored.meaning))
+        image = torch.from_numpy(line_integrals(_without_unused(stored), stored.meaning))
     except RegtorchError as error:
         raise RegtorchError(f"{path}: {error}") from error
     warnings = list(stored.warnings)
@@ -69,6 +69,14 @@ def read_radiograph(
     return Radiograph(image, detector, weight, stored_from_pixel, stored.sdd_mm, path.name, tuple(warnings))
 
 
+def _without_unused(stored: StoredRadiograph) -> Shaped[ndarray, "h w"]:
+    """What is padded or behind a shutter looks as if no beam had come through, so that it tells nothing of the rest."""
+    if stored.unused is None or not stored.unused.any() or stored.unused.all():
+        return stored.values
+    used = stored.values[~stored.unused]
+    return np.where(stored.unused, used.min() if stored.meaning.grows else used.max(), stored.values)
+
+
 def _weight(
     path: Path,
     image: Float[Tensor, "h w"],
@@ -78,11 +86,6 @@ def _weight(
     weight = torch.zeros_like(image)
     r0, r1, c0, c1 = exposed_field(image)
     weight[r0:r1, c0:c1] = 1
-    if stored.shutter is not None:
-        r0, r1, c0, c1 = stored.shutter
-        within = torch.zeros_like(weight)
-        within[r0:r1, c0:c1] = 1
-        weight *= within
     if stored.unused is not None:
         weight[torch.from_numpy(stored.unused)] = 0
     if mask is not None:
@@ -107,9 +110,8 @@ def _mask(mask: str | Path | Shaped[Tensor, "rows columns"], shape: tuple[int, i
 
 
 def _plain(path: Path, view: str, intensity: str, pixel_mm: float | None) -> StoredRadiograph:
-    values, text = _grey(path)
+    values, text, warnings = _grey(path)
     metadata = _metadata(text)
-    warnings = []
     if "view" in metadata and not same_view(str(metadata["view"]), view):
         warnings.append(f"written as a {metadata['view']} view, but it is read as {view}")
     numbers = {}
@@ -134,8 +136,8 @@ def _metadata(text: str) -> dict:
     return found if isinstance(found, dict) else {}
 
 
-def _grey(path: Path) -> tuple[Shaped[ndarray, "h w"], str]:
-    """Values of a PNG or TIFF with one grey channel, and its text."""
+def _grey(path: Path) -> tuple[Shaped[ndarray, "h w"], str, list[str]]:
+    """Values of a PNG or TIFF with one grey channel, its text, and what looks wrong."""
     if not path.is_file():
         raise RegtorchError(f"{path}: no such file, expected a PNG or TIFF image")
     suffix = path.suffix.lower()
@@ -153,21 +155,30 @@ def _grey(path: Path) -> tuple[Shaped[ndarray, "h w"], str]:
     raise RegtorchError(f"{path}: not a radiograph, expected DICOM, PNG or TIFF")
 
 
-def _tiff(path: Path) -> tuple[Shaped[ndarray, "h w"], str]:
+def _tiff(path: Path) -> tuple[Shaped[ndarray, "h w"], str, list[str]]:
     with tifffile.TiffFile(path) as file:
         page = file.pages[0]
         if len(file.pages) != 1:
             raise RegtorchError(f"{path}: {len(file.pages)} images in one file, expected a single radiograph")
         if page.samplesperpixel != 1 or len(page.shape) != 2:
             raise RegtorchError(f"{path}: colour image, expected one grey channel")
+        if page.photometric not in (tifffile.PHOTOMETRIC.MINISWHITE, tifffile.PHOTOMETRIC.MINISBLACK):
+            raise RegtorchError(f"{path}: {page.photometric.name} image, expected one grey channel")
         values = page.asarray()
+        values = values.astype(np.uint8) if values.dtype == bool else values
         if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
-            values = np.iinfo(values.dtype).max - values if values.dtype.kind == "u" else values.max() - values
-        return values, page.description
+            whole = values.dtype.kind == "u" and page.bitspersample > 1
+            values = (np.iinfo(values.dtype).max if whole else values.max()) - values.astype(np.float64)
+        turned = page.tags.get("Orientation")
+        ignored = turned is not None and turned.value != 1
+        warnings = [f"Orientation tag of {turned.value} is not followed: pixels are as stored"] if ignored else []
+        return values, page.description, warnings
 
 
-def _png(path: Path) -> tuple[Shaped[ndarray, "h w"], str]:
+def _png(path: Path) -> tuple[Shaped[ndarray, "h w"], str, list[str]]:
     with Image.open(path) as image:
-        if image.mode not in ("L", "I;16", "I;16B", "I"):
+        if image.mode not in ("1", "L", "I;16", "I;16B", "I"):
             raise RegtorchError(f"{path}: {image.mode} image, expected 16-bit grey")
-        return np.array(image), image.info.get(METADATA_KEY, "")
+        values = np.array(image)
+        values = values.astype(np.uint8) if values.dtype == bool else values
+        return values, image.info.get(METADATA_KEY, ""), []

@@ -14,6 +14,8 @@ from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector
 from regtorch.imaging import check_radiograph, read_radiograph, write_radiograph
 
+from .test_field import collimated, torso
+
 File = Callable[..., Path]
 RAMP = np.arange(24, dtype=np.float32).reshape(6, 4) / 23
 
@@ -150,6 +152,52 @@ def test_shutter_and_padding(radiograph_file: File) -> None:
     torch.testing.assert_close(read_radiograph(path, view="PA").weight, expected.flip(1))
 
 
+@pytest.mark.parametrize(
+    ("shape", "tags", "inside", "outside"),
+    [
+        ("CIRCULAR", {"CenterOfCircularShutter": [51, 41], "RadiusOfCircularShutter": 30}, (50, 69), (50, 72)),
+        ("POLYGONAL", {"VerticesOfThePolygonalShutter": [11, 11, 11, 71, 91, 71, 91, 11]}, (89, 69), (92, 40)),
+    ],
+)
+def test_shutters_of_other_shapes(radiograph_file: File, shape: str, tags: dict, inside: tuple, outside: tuple) -> None:
+    """At (row, column) counted from 0; what they hide does not make the rest darker."""
+    stored = np.arange(8000, dtype=np.uint16).reshape(100, 80) + 1000
+    path = radiograph_file(stored, ShutterShape=shape, PixelIntensityRelationship="LIN", **tags)
+    radiograph = read_radiograph(path, view="PA")
+    assert radiograph.weight[inside] == 1
+    assert radiograph.weight[outside] == 0
+    covered = stored.copy()
+    covered[radiograph.weight.numpy() == 0] = 0
+    path = radiograph_file(covered, ShutterShape=shape, PixelIntensityRelationship="LIN", **tags)
+    again = read_radiograph(path, view="PA")
+    torch.testing.assert_close(again.image, radiograph.image)
+    torch.testing.assert_close(again.weight, radiograph.weight)
+    path = radiograph_file(stored, ShutterShape=["RECTANGULAR", shape], **tags)
+    assert any("RECTANGULAR shutter is not understood" in line for line in read_radiograph(path, view="PA").warnings)
+
+
+def test_padding_hides_no_collimator(radiograph_file: File) -> None:
+    """Nor does it take the range of greys."""
+    image = collimated(torso(), (40, 400, 0, 360), 6.5)
+    stored = (1000 + 3000 * (image - image.min()) / (image.max() - image.min())).numpy().astype(np.uint16)
+    whole = read_radiograph(radiograph_file(stored), view="PA")
+    assert float(whole.weight[:40].max()) == 0
+    stored[-8:], stored[200:220, :60] = 65535, 65535
+    padded = read_radiograph(radiograph_file(stored, PixelPaddingValue=65535), view="PA")
+    used = padded.weight > 0
+    assert not bool(used[-8:].any() or used[200:220, :60].any())
+    assert abs(int(used.any(1).nonzero()[0]) - int((whole.weight > 0).any(1).nonzero()[0])) <= 1
+    torch.testing.assert_close(padded.image[used], whole.image[used], atol=0.02, rtol=0)
+
+
+def test_an_sdd_that_is_no_number_is_told_of(radiograph_file: File) -> None:
+    path = radiograph_file(DistanceSourceToDetector=1800.5)
+    path.write_bytes(path.read_bytes().replace(b"1800.5", b"180 cm"))
+    radiograph = read_radiograph(path, view="PA")
+    assert radiograph.sdd_mm is None
+    assert "DistanceSourceToDetector is 180 cm, which is no number" in radiograph.warnings
+
+
 REFUSALS = {
     "3 frames, expected a single": {"NumberOfFrames": 3},
     "PhotometricInterpretation RGB, 3 channel": {"SamplesPerPixel": 3, "PhotometricInterpretation": "RGB"},
@@ -234,6 +282,24 @@ def test_white_is_zero_tiff(tmp_path: Path) -> None:
     torch.testing.assert_close(image, 1 - torch.arange(30.0).reshape(5, 6) / 29)
 
 
+def test_other_tiffs(tmp_path: Path) -> None:
+    signed = np.linspace(-32000, 32000, 30).astype(np.int16).reshape(5, 6)
+    tifffile.imwrite(tmp_path / "signed.tiff", signed, photometric="miniswhite")
+    image = read_radiograph(tmp_path / "signed.tiff", view="PA", pixel_mm=1.0).image
+    torch.testing.assert_close(image, 1 - torch.arange(30.0).reshape(5, 6) / 29, atol=1e-4, rtol=0)
+    colours = np.repeat(np.arange(65535, -1, -257, dtype=np.uint16)[None], 3, axis=0)
+    tifffile.imwrite(tmp_path / "map.tiff", np.ones((5, 6), np.uint8), photometric="palette", colormap=colours)
+    with pytest.raises(RegtorchError, match="PALETTE image, expected one grey channel"):
+        read_radiograph(tmp_path / "map.tiff", view="PA", pixel_mm=1.0)
+    tag = (274, "H", 1, 6, True)
+    tifffile.imwrite(tmp_path / "side.tiff", signed.astype(np.uint16), photometric="minisblack", extratags=[tag])
+    (warning,) = read_radiograph(tmp_path / "side.tiff", view="PA", pixel_mm=1.0).warnings
+    assert "Orientation tag of 6" in warning
+    tifffile.imwrite(tmp_path / "huge.tiff", np.full((5, 6), 1e39))
+    with pytest.raises(RegtorchError, match=r"NaN or infinite \(beyond 3e38\)"):
+        read_radiograph(tmp_path / "huge.tiff", view="PA", pixel_mm=1.0)
+
+
 def test_masks(radiograph_file: File, tmp_path: Path) -> None:
     """A mask has the file's own orientation."""
     path = radiograph_file(PatientOrientation=["L", "F"])
@@ -243,6 +309,8 @@ def test_masks(radiograph_file: File, tmp_path: Path) -> None:
     grey = np.where(mask.numpy(), 255, 0).astype(np.uint8)
     Image.fromarray(grey).save(tmp_path / "mask.png")
     Image.fromarray(grey // 255).save(tmp_path / "ones.png")
+    Image.fromarray(mask.numpy()).save(tmp_path / "bits.png")
+    tifffile.imwrite(tmp_path / "bits.tiff", ~mask.numpy(), photometric="miniswhite")
     tifffile.imwrite(tmp_path / "mask.tiff", mask.numpy().astype(np.float32))
     for given in (
         mask,
@@ -250,6 +318,8 @@ def test_masks(radiograph_file: File, tmp_path: Path) -> None:
         mask.int() * 255,
         tmp_path / "mask.png",
         tmp_path / "ones.png",
+        tmp_path / "bits.png",
+        tmp_path / "bits.tiff",
         tmp_path / "mask.tiff",
     ):
         torch.testing.assert_close(read_radiograph(path, view="PA", mask=given).weight, expected)
