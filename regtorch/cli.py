@@ -4,7 +4,9 @@
 import argparse
 import math
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,6 +25,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate, "report": _report}
     code = _BROKEN_PIPE
+    before = (
+        signal.signal(signal.SIGTERM, _interrupt) if threading.current_thread() is threading.main_thread() else None
+    )
     try:
         code = run[options.command](options)
         sys.stdout.flush()
@@ -39,7 +44,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("regtorch: interrupted, nothing written", file=sys.stderr)
         return _INTERRUPTED
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
     return code
+
+
+def _interrupt(*_: object) -> None:
+    """What asks a program to end, as batch systems and ``timeout`` do, ends this one as Ctrl-C does."""
+    raise KeyboardInterrupt
 
 
 def _use_threads(threads: int | None) -> None:

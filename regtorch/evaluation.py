@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +15,7 @@ from regtorch.geometry import (
     KEYS,
     VIEWS,
     Detector,
+    parameters_from_dict,
     parameters_from_matrix,
     project,
     same_view,
@@ -22,6 +23,8 @@ from regtorch.geometry import (
 )
 
 _SHARED = ("parameters", "view", "mirrored", "detector", "pixel_from_patient")
+_SAME, _APART_MM = 1e-6, 1e-3
+"""Rotations that differ less are one, and so are centres."""
 _OWN = {"result": ("status", "similarity"), "truth": ("targets_patient_mm",)}
 
 
@@ -42,6 +45,8 @@ def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, A
     Returns ``pde_mm`` (mean over the targets, in the detector plane; infinite where either puts one behind the source),
     ``target_error_mm`` (mean distance in space between where the two put a target, seen from the detector), ``targets``
     (both, for each by name) and ``parameter_errors`` (result less truth, mm and degrees; angles the short way round).
+    Where the two are of different parts of a CT, whose centres the patient's place is told by, the truth's is moved to
+    the result's.
     """
     if not same_view(result["view"], truth["view"]):
         raise RegtorchError(f"view {result['view']} of the result, expected {truth['view']} as in the truth")
@@ -51,9 +56,11 @@ def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, A
     points = torch.tensor([truth["targets_patient_mm"][name] for name in names], dtype=torch.float64)
     matrices = [torch.tensor(d["pixel_from_patient"], dtype=torch.float64) for d in (result, truth)]
     in_plane = projection_distances(*matrices, points, truth["detector"]["pixel_mm"])
-    places = [_in_world(points, matrix, d) for matrix, d in zip(matrices, (result, truth), strict=True)]
-    in_space = (places[0] - places[1]).norm(dim=-1)
+    places = [_world_from_patient(matrix, d) for matrix, d in zip(matrices, (result, truth), strict=True)]
+    in_space = torch.stack([points @ p[:3, :3].mT + p[:3, 3] for p in places]).diff(dim=0)[0].norm(dim=-1)
     errors = {key: result["parameters"][key] - truth["parameters"][key] for key in KEYS}
+    for key, moved in zip(KEYS[3:6], _moved_mm(result, truth, places), strict=True):
+        errors[key] -= moved
     return {
         "pde_mm": float(in_plane.mean()),
         "target_error_mm": float(in_space.mean()),
@@ -122,13 +129,30 @@ def _same_detector(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return same_grid and math.isclose(one["pixel_mm"], other["pixel_mm"], rel_tol=1e-4)
 
 
-def _in_world(points: Float[Tensor, "n 3"], matrix: Float[Tensor, "3 4"], content: Mapping[str, Any]) -> Tensor:
-    """Where a projection matrix to stored pixels puts points (LPS mm) relative to the detector."""
+def _world_from_patient(matrix: Float[Tensor, "3 4"], content: Mapping[str, Any]) -> Float[Tensor, "4 4"]:
+    """Where a projection matrix to stored pixels puts the patient (LPS mm) relative to the detector."""
     detector = _detector(content)
     if content["mirrored"]:
         flip = matrix.new_tensor([[-1, 0, detector.columns - 1], [0, 1, 0], [0, 0, 1]])
         matrix = flip @ matrix
     # With the patient's own origin in place of the CT's centre, the nine parameters place the patient frame itself.
-    parameters = parameters_from_matrix(matrix, detector, content["view"], points.new_zeros(3))
-    world_from_patient = world_from_ct(parameters, content["view"])
-    return points @ world_from_patient[:3, :3].mT + world_from_patient[:3, 3]
+    return world_from_ct(
+        parameters_from_matrix(matrix, detector, content["view"], matrix.new_zeros(3)), content["view"]
+    )
+
+
+def _moved_mm(
+    result: Mapping[str, Any], truth: Mapping[str, Any], world_from_patient: Sequence[Float[Tensor, "4 4"]]
+) -> list[float]:
+    """How much further the truth has the CT's centre of the result than its own: x_obj, y_obj, z_obj.
+
+    A centre o is where the parameters say that it is, x_obj = R o + t with R, t of ``world_from_patient``. Nothing for
+    an image stored on its side, whose matrix is of another detector than its parameters.
+    """
+    turned = [world_from_ct(parameters_from_dict(d["parameters"]), d["view"]) for d in (result, truth)]
+    own, true = world_from_patient
+    if any(float((told - found)[:3, :3].abs().max()) > _SAME for told, found in zip(turned, (own, true), strict=True)):
+        return [0.0] * 3
+    centres = [p[:3, :3].mT @ (told[:3, 3] - p[:3, 3]) for told, p in zip(turned, (own, true), strict=True)]
+    moved = true[:3, :3] @ (centres[0] - centres[1])
+    return moved.tolist() if float(moved.norm()) > _APART_MM else [0.0] * 3

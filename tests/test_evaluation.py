@@ -12,7 +12,7 @@ import torch
 
 from regtorch.errors import RegtorchError
 from regtorch.evaluation import evaluate, projection_distances, read_json
-from regtorch.geometry import KEYS, Detector, parameters_to_dict, pixel_from_patient
+from regtorch.geometry import KEYS, Detector, parameters_to_dict, pixel_from_patient, world_from_ct
 
 ROWS, COLUMNS, PIXEL_MM = 400, 500, 0.5
 ORIGIN_MM = torch.tensor([10.0, -20.0, 30.0], dtype=torch.float64)
@@ -24,10 +24,12 @@ def _pose(**changes: float) -> torch.Tensor:
     return torch.tensor([v if k.endswith("_mm") else math.radians(v) for k, v in values.items()], dtype=torch.float64)
 
 
-def _content(pose: torch.Tensor, view: str = "PA", mirrored: bool = False) -> dict[str, Any]:
+def _content(
+    pose: torch.Tensor, view: str = "PA", mirrored: bool = False, origin_mm: torch.Tensor = ORIGIN_MM
+) -> dict[str, Any]:
     """What ``result.json`` and ``truth.json`` share, and what each has of its own."""
     detector = Detector(ROWS, COLUMNS, PIXEL_MM)
-    matrix = pixel_from_patient(pose, detector, view, ORIGIN_MM)
+    matrix = pixel_from_patient(pose, detector, view, origin_mm)
     if mirrored:
         matrix = matrix.new_tensor([[-1, 0, COLUMNS - 1], [0, 1, 0], [0, 0, 1]]) @ matrix
     return {
@@ -50,6 +52,22 @@ def write(tmp_path) -> Callable[[Any], Path]:
         return path
 
     return write
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("view", ["PA", "RLAT"])
+def test_another_part_of_the_ct_is_no_error(view: str, mirrored: bool):
+    """Its centre lies elsewhere, and the patient's place is told by that."""
+    pose = _pose(x_s_mm=20, eta_deg=4, theta_deg=-3, phi_deg=8, x_obj_mm=5)
+    shift = torch.tensor([10.0, -20, 35], dtype=torch.float64)
+    moved = pose.clone()
+    moved[3:6] += world_from_ct(pose, view)[:3, :3] @ shift
+    moved[3] += 1.5
+    truth = _content(pose, view, mirrored)
+    result = _content(moved, view, mirrored, ORIGIN_MM + shift)
+    assert evaluate(result, truth)["target_error_mm"] == pytest.approx(1.5)
+    errors = evaluate(result, truth)["parameter_errors"]
+    assert errors == pytest.approx(dict.fromkeys(KEYS, 0) | {"x_obj_mm": 1.5}, abs=1e-6)
 
 
 def test_the_truth_has_no_error():

@@ -52,7 +52,7 @@ def read_points(path: str | Path) -> dict[str, Point]:
 
 def _csv_points(text: str) -> Iterator[tuple[str, str, Point]]:
     for number, line in enumerate(csv.reader(io.StringIO(text)), 1):
-        if line and line[1:4] != ["x", "y", "z"]:
+        if line and [word.strip().lower() for word in line[1:4]] != ["x", "y", "z"]:
             yield f"line {number}", line[0], _point(f"line {number} is {one_line(line)}", line[1:])
 
 

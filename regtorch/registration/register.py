@@ -68,7 +68,7 @@ def register(
     if not 0 <= seed < 2**32:
         raise RegtorchError(f"seed {seed}: expected a whole number from 0 to {2**32 - 1}")
     detector = radiograph.detector
-    _check_size(radiograph)
+    _check_pixels(radiograph)
     for name, given in (("initial", initial), ("half_range", half_range)):
         if given is not None and not (given.shape == (9,) and bool(given.isfinite().all())):
             raise RegtorchError(f"{name} of {given.tolist()}: expected nine finite numbers")
@@ -95,6 +95,8 @@ def register(
     attenuating, whole = (
         attenuation(crop_to_anatomy(ct, threshold_hu=least), threshold_hu=least) for least in (threshold_hu, None)
     )
+    if not bool(whole.data.sum().isfinite()):
+        raise RegtorchError(f"{ct.name}: voxels that are NaN or infinite, expected HU everywhere")
     half_range = torch.tensor(SEARCH) if half_range is None else half_range
     if not bool((half_range >= 0).all()):
         raise RegtorchError(f"half range {half_range.tolist()}: expected numbers from 0 (frozen) on")
@@ -118,15 +120,14 @@ def register(
     found = method(problem)
     status, message = judge(problem, found)
     error = nan if found.covariance is None else root_mean_square_mm(problem, found.parameters, found.covariance)
-    image_from_patient = pixel_from_patient(found.parameters, detector, view, ct.origin_patient_mm)
     return Registration(
         parameters=found.parameters,
         initial=problem.initial,
         view=view,
         detector=detector,
         mirrored=radiograph.mirrored,
-        image_from_patient=image_from_patient,
-        pixel_from_patient=radiograph.stored_from_pixel @ image_from_patient,
+        image_from_patient=pixel_from_patient(found.parameters, detector, view, ct.origin_patient_mm),
+        stored_from_pixel=radiograph.stored_from_pixel,
         status=status,
         message=message,
         warnings=(*looks_wrong, *warnings(problem, found)),
@@ -143,8 +144,12 @@ def register(
     )
 
 
-def _check_size(radiograph: Radiograph) -> None:
+def _check_pixels(radiograph: Radiograph) -> None:
     """Of what counts: where all is masked, or outside the field, the pyramid says so."""
+    if not bool(radiograph.image.isfinite().all() and radiograph.weight.isfinite().all()):
+        raise RegtorchError(
+            f"{radiograph.name}: pixels or weights that are NaN or infinite, expected numbers everywhere"
+        )
     sides = [int(radiograph.weight.amax(dim).count_nonzero()) for dim in (1, 0)]
     if 0 < min(sides) < LEAST_PIXELS or max(radiograph.image.shape) > MOST_PIXELS:
         shape = " x ".join(map(str, sides if min(sides) < LEAST_PIXELS else radiograph.image.shape))

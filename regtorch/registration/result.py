@@ -20,10 +20,11 @@ class Registration:
     """Where source, patient and detector stood.
 
     ``parameters`` and ``initial`` are the nine (mm, rad; float64). ``image_from_patient`` maps LPS mm to (column, row)
-    of the image seen from the source, ``pixel_from_patient`` to those of the image as its file stores it, which may be
-    ``mirrored``. ``message`` says in one sentence why ``status`` is what it is; ``warnings`` are one line each.
-    ``similarity`` is that of the finest level, between -1 and 1, and by ``hybrid`` with what the DRR does not explain
-    marked down. ``starts`` is where the starts of a coarse level ended, best first, and ``start_similarity`` how well.
+    of the image seen from the source, whose rows and columns ``detector`` tells, and ``pixel_from_patient`` to those of
+    the image as its file stores it, by ``stored_from_pixel``: ``mirrored``, it may be, or on its side. ``message`` says
+    in one sentence why ``status`` is what it is; ``warnings`` are one line each. ``similarity`` is that of the finest
+    level, between -1 and 1, and by ``hybrid`` with what the DRR does not explain marked down. ``starts`` is where the
+    starts of a coarse level ended, best first, and ``start_similarity`` how well.
 
     ``covariance`` is that of the nine parameters (mm, rad), as parts of the image disagree about them; where some are
     frozen and do not fit, it holds besides how far all go once these are free. ``error_rms_mm`` is what it makes of the
@@ -36,7 +37,7 @@ class Registration:
     detector: Detector
     mirrored: bool
     image_from_patient: Float[Tensor, "3 4"]
-    pixel_from_patient: Float[Tensor, "3 4"]
+    stored_from_pixel: Float[Tensor, "3 3"]
     status: Status
     message: str
     warnings: tuple[str, ...]
@@ -50,6 +51,10 @@ class Registration:
     seconds: float
     device: str
     seed: int
+
+    @property
+    def pixel_from_patient(self) -> Float[Tensor, "3 4"]:
+        return self.stored_from_pixel @ self.image_from_patient
 
     def to_dict(self) -> dict[str, Any]:
         """As written to ``result.json``: plain values, mm and degrees."""
@@ -67,6 +72,7 @@ class Registration:
                 "columns": self.detector.columns,
                 "pixel_mm": self.detector.pixel_mm,
             },
+            "stored_from_pixel": self.stored_from_pixel.tolist(),
             "pixel_from_patient": self.pixel_from_patient.tolist(),
             "similarity": self.similarity,
             "evaluations": self.evaluations,

@@ -55,7 +55,8 @@ def test_interrupting_ends_with_130_and_leaves_nothing(inputs, tmp_path, method,
     assert not list(tmp_path.iterdir())
 
 
-def test_control_c_of_a_running_registration_leaves_nothing(inputs, tmp_path):
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "timeout"])
+def test_a_running_registration_that_is_ended_leaves_nothing(inputs, tmp_path, asked):
     # Whoever runs the tests in the background may have them ignore the signal.
     program = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
     program += "; from regtorch.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -63,7 +64,7 @@ def test_control_c_of_a_running_registration_leaves_nothing(inputs, tmp_path):
     with subprocess.Popen([sys.executable, "-c", program, *arguments], stderr=subprocess.PIPE, text=True) as process:
         while not (tmp_path / "new" / "deep").exists() and process.poll() is None:
             time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(asked)
         _, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
     assert err.splitlines()[-1] == "regtorch: interrupted, nothing written"

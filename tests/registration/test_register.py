@@ -179,6 +179,7 @@ def test_the_result_as_a_dictionary_keeps_the_contract(pair):
     contract = "parameters view mirrored detector pixel_from_patient status message similarity evaluations seconds"
     assert set(found) >= {*contract.split(), "device", "seed", "version"}
     assert list(found["parameters"]) == list(KEYS)
+    assert found["stored_from_pixel"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
     assert found["detector"] == {"rows": 100, "columns": 80, "pixel_mm": 3.5}
 
 
@@ -231,6 +232,16 @@ def test_bad_seeds_and_half_ranges_are_refused(pair):
     for name in ("initial", "half_range"):
         with pytest.raises(RegtorchError, match=rf"{name} of \[nan, .*\]: expected nine finite numbers"):
             register(pair.ct, pair.radiograph, "PA", **{name: torch.full((9,), torch.nan)})
+
+
+def test_numbers_that_are_none_are_refused(pair):
+    """Readers see to it; whoever makes images and CTs in Python may not."""
+    image, data = pair.radiograph.image.clone(), pair.ct.data.clone()
+    image[3, 4], data[20, 20, 20] = torch.nan, torch.nan
+    with pytest.raises(RegtorchError, match="pixels or weights that are NaN"):
+        register(pair.ct, replace(pair.radiograph, image=image), "PA", method=Told())
+    with pytest.raises(RegtorchError, match="voxels that are NaN"):
+        register(pair.ct.with_data(data), pair.radiograph, "PA", method=Told())
 
 
 def test_a_field_of_few_pixels_is_refused(pair):
