@@ -29,7 +29,7 @@ from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
 from regtorch.registration.hybrid import hybrid
 from regtorch.similarity import gradient_correlation
 
-CASES = ("views", "seeds", "first_seed", "shard", "threads", "out")
+CASES = ("views", "seeds", "first_seed", "shard", "threads", "device", "out")
 """Settings that rows of one folder need not share."""
 
 COMPONENTS = ("data", "radiograph", "registration", "similarity")
@@ -68,6 +68,7 @@ _RULES: dict[str, Rule] = {
     "seeds": _whole(1),
     "first_seed": _whole(0),
     "threads": _whole(1, 1024),
+    "device": (lambda v: re.fullmatch(r"cpu|cuda(:\d+)?", v) is not None, "cpu, cuda or cuda:N"),
     "least_targets": _whole(1),
     "searched_deviations": _number(1e-6, 100),
     "detector.rows": _whole(LEAST_PIXELS, MOST_PIXELS),

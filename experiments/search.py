@@ -40,7 +40,7 @@ COLUMNS = (
     "similarity", "status", "message", "evaluations", "seconds", "threads", "device", "version",
 )  # fmt: skip
 _DECOY = "decoy_"
-_CASES = ("cts", "views", "kinds", "decoys", "seeds", "first_seed", "shard", "pictures", "threads", "out")
+_CASES = ("cts", "views", "kinds", "decoys", "seeds", "first_seed", "shard", "pictures", "threads", "device", "out")
 _PARTS = ("radiographs", "images")
 
 Case = tuple[str, str, str, int]
@@ -91,7 +91,7 @@ class Study:
         self.detector = Detector(**config.detector)
         self.targets = _targets(config)
         self.cts = {Path(path).name: read_volume(path) for path in config.cts}
-        self.given = {name: _middle(ct, config.given) for name, ct in self.cts.items()}
+        self.given = {name: _middle(ct, config.given).to(config.device) for name, ct in self.cts.items()}
 
     def row(self, case: Case, tell: Any = lambda text, refresh: None) -> dict[str, Any]:
         """Registers one case, and takes a picture of it where that is worth one."""

@@ -89,6 +89,7 @@ class Study:
         self.config = config
         self.detector = Detector(**config.detector)
         self.ct, self.targets = read(OmegaConf.to_yaml(config.data))
+        self.searched = self.ct.to(config.get("device", "cpu"))  # an arm's settings do not tell
         self.bone = bone_voxels(self.ct)
         self.radiograph = component(config.radiograph)
         self.method = component(config.registration)
@@ -116,7 +117,7 @@ class Study:
         true, redrawn = geometries.draw(seed)
         truth, radiograph = self.taken(true, view, seed)
         result = register(
-            self.ct,
+            self.searched,
             radiograph,
             view,
             method=self.method,

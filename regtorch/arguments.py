@@ -118,6 +118,7 @@ def parser() -> argparse.ArgumentParser:
         help="from where on it is bone; hybrid looks at all tissue as well (%(default)g)",
     )
     add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} to show in overlay.png and tell the error to expect at")
+    add("--device", default="cpu", metavar="NAME", help="where DRRs are made: cpu, or cuda, a GPU (%(default)s)")
     _add_seed_and_threads(add)
 
     add = _command(commands, "evaluate", "compare a result with the truth")

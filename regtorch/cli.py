@@ -158,7 +158,7 @@ def _register(options: argparse.Namespace) -> int:
         result = _registered(
             options, folder, ct, radiograph, targets,
             free=options.dof, half_range=_half_range(options), sdd_mm=options.sdd_mm,
-            threshold_hu=options.threshold_hu, method=options.method,
+            threshold_hu=options.threshold_hu, method=options.method, device=options.device,
             landmark_patient_mm=options.landmark_ct and tuple(options.landmark_ct),
             landmark_stored=options.landmark_radiograph and tuple(options.landmark_radiograph),
         )  # fmt: skip
@@ -167,7 +167,9 @@ def _register(options: argparse.Namespace) -> int:
     return _OK if result.status == "ok" else _NOT_SURE
 
 
-def _registered(options: argparse.Namespace, folder: Path, ct, radiograph, targets, method="hybrid", **settings):
+def _registered(
+    options: argparse.Namespace, folder: Path, ct, radiograph, targets, method="hybrid", device="cpu", **settings
+):
     """Register with a progress bar, write result.json and overlay.png."""
     from functools import partial
 
@@ -181,7 +183,13 @@ def _registered(options: argparse.Namespace, folder: Path, ct, radiograph, targe
     methods = {"hybrid": hybrid, "cmaes": evolution, "pycma": partial(evolution, optimizer=optimization.pycma)}
     with progress_bar() as progress:
         result = register(
-            ct, radiograph, options.view, method=methods[method], seed=options.seed, progress=progress, **settings
+            ct.to(device),
+            radiograph,
+            options.view,
+            method=methods[method],
+            seed=options.seed,
+            progress=progress,
+            **settings,
         )
     write_json(folder / "result.json", result.to_dict() | _expected_errors(result, targets))
     threshold_hu = settings.get("threshold_hu", BONE_HU)

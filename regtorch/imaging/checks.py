@@ -20,7 +20,7 @@ def check_volume(volume: Volume) -> list[str]:
     """What looks wrong with a CT in HU."""
     found = list(volume.warnings)
     every = max(1, volume.data.numel() // 250_000)
-    values = volume.data.flatten()[::every]
+    values = volume.data.flatten()[::every].cpu()
     lowest, highest = (float(v) for v in values.quantile(torch.tensor([0.005, 0.999], dtype=values.dtype)))
     air = float((values < -500).float().mean())
     # Fat lies near -100 HU and every torso has some, so HU without values well below 0 there are not.

@@ -76,6 +76,12 @@ class Volume:
             raise RegtorchError(f"{self.name}: values of shape {tuple(data.shape)}, expected {tuple(self.data.shape)}")
         return replace(self, data=data, **changes)
 
+    def to(self, device: str) -> "Volume":
+        """With its values there: ``cpu``, ``cuda`` or ``cuda:N``. Raises ``RegtorchError`` where there is no such."""
+        if device != "cpu" and not (device.partition(":")[0] == "cuda" and torch.cuda.is_available()):
+            raise RegtorchError(f"device {device!r}: expected cpu, or cuda where torch finds a GPU")
+        return replace(self, data=self.data.to(device))
+
     def on_grid(self, data: Float[Tensor, "*c d h w"], patient_from_voxel: Float[Tensor, "4 4"]) -> "Volume":
         """Values on another grid in the same patient; the origin of the ``ct`` frame stays."""
         return replace(self, data=data, patient_from_voxel=patient_from_voxel)

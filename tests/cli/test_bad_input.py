@@ -19,6 +19,7 @@ BAD = [
     (f"{REGISTER} --dof 8", "8"),
     (f"{REGISTER} --method simplex", "'simplex'"),
     (f"{REGISTER} --intensity log", "'log'"),
+    (f"{REGISTER} --device gpu", "device 'gpu': "),
     (f"{SIMULATE} --format bmp", "'bmp'"),
     *((f"{command} --view {view}", f"'{view}'") for command in (REGISTER, SIMULATE, "demo") for view in ("XX", "pa")),
     *((f"{command} --threads {n}", n) for command in (REGISTER, SIMULATE) for n in ("0", "-1", "100000", "x")),

@@ -32,6 +32,7 @@ STUDIES = sorted(path.stem for path in (ROOT / "conf" / "study").glob("*.yaml"))
         ("seeds=1.5", "seeds"),
         ("first_seed=-1", "first_seed"),
         ("threads=0", "threads"),
+        ("device=gpu", "device=gpu: expected cpu, cuda"),
         ("searched_deviations=wide", "searched_deviations"),
         ("default.source_mm=[0,1000]", "default.source_mm"),
         ("deviations.patient_mm=[1,2,-3]", "deviations.patient_mm"),
