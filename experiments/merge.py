@@ -60,5 +60,5 @@ if __name__ == "__main__":
     except RegtorchError as error:
         sys.exit(f"merge: error: {error}")
     for arm, of_arm in merged.groupby("arm"):
-        versions = of_arm.version.unique()
-        print(f"{arm}: {len(of_arm)} registrations" + (f", of {len(versions)} versions" if len(versions) > 1 else ""))
+        versions = of_arm["version"].nunique() if "version" in of_arm else 1
+        print(f"{arm}: {len(of_arm)} registrations" + (f", of {versions} versions" if versions > 1 else ""))
