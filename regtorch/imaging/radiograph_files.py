@@ -53,7 +53,9 @@ def read_radiograph(
     if stored.pixel_mm is None:
         why = "".join(f" ({w})" for w in stored.warnings if w.endswith("no size"))
         raise RegtorchError(f"{path}: no pixel size in the file{why}, expected the detector's by --pixel-mm")
-    if not np.isfinite(stored.values.astype(np.float32)).all():
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(stored.values.astype(np.float32)).all()
+    if not finite:
         raise RegtorchError(f"{path}: pixels that are NaN or infinite (beyond 3e38), expected numbers everywhere")
     try:
         image = torch.from_numpy(line_integrals(_without_unused(stored), stored.meaning))
