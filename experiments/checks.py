@@ -101,11 +101,12 @@ def _all_or_exit(jobs: Iterator[DictConfig]) -> None:
     with told_in_one_line("simulation_study"):
         for job in jobs:
             HydraConfig.instance().set_config(job)
+            own = OmegaConf.masked_copy(job, [key for key in job if key != "hydra"])
             try:
-                OmegaConf.resolve(OmegaConf.masked_copy(job, [key for key in job if key != "hydra"]))
+                OmegaConf.to_container(own, resolve=True)
             except OmegaConfBaseException as error:
                 raise RegtorchError(one_line(error)) from None
-            check(OmegaConf.masked_copy(job, [key for key in job if key != "hydra"]))
+            check(own)
             table = Path(job.out, job.arm, table_name(job.shard))
             if table in tables:
                 raise RegtorchError(f"arm={job.arm}, shard={job.shard}: two jobs of the sweep, expected one for each")

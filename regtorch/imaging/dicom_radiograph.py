@@ -150,7 +150,7 @@ def _padding(header: Dataset, stored: Shaped[ndarray, "h w"]) -> Bool[ndarray, "
 def _shuttered(header: Dataset, found: list[str]) -> Bool[ndarray, "h w"]:
     """Where display shutters lie (DICOM PS3.3 C.7.6.11): rows and columns are counted from 1."""
     rows, columns = header.Rows, header.Columns
-    row, column = np.mgrid[1 : rows + 1, 1 : columns + 1]
+    row, column = np.ogrid[1 : rows + 1, 1 : columns + 1]
     closed = np.zeros((rows, columns), bool)
     for shape in words(header, "ShutterShape"):
         opening = _opening(header, shape, row, column)
@@ -162,7 +162,7 @@ def _shuttered(header: Dataset, found: list[str]) -> Bool[ndarray, "h w"]:
 
 
 def _opening(
-    header: Dataset, shape: str, row: Shaped[ndarray, "h w"], column: Shaped[ndarray, "h w"]
+    header: Dataset, shape: str, row: Shaped[ndarray, "h 1"], column: Shaped[ndarray, "1 w"]
 ) -> Bool[ndarray, "h w"] | None:
     if shape == "RECTANGULAR":  # its edges are the lines just outside
         names = ("UpperHorizontal", "LowerHorizontal", "LeftVertical", "RightVertical")
