@@ -50,7 +50,7 @@ def candidates(
         some = math.ceil(share * poses)
         problem.progress(0.1 * turn, f"screening {some} poses")
         climbing = replace(stage, candidates=math.ceil(share * stage.candidates))
-        return _climbed(problem, tissues[tissue], screening, some, climbing, most, (3 * problem.seed + turn) % 2**32)
+        return _climbed(problem, tissues[tissue], screening, some, climbing, most, (4 * problem.seed + turn) % 2**32)
 
     if len(tissues) == 1:
         return look(0, 1.0, 0).parameters, 0
@@ -69,7 +69,7 @@ def more_candidates(
 ) -> Float[Tensor, "n 9"]:
     """As many again of one tissue, from other poses."""
     problem.progress(0.4, f"screening {poses} poses more")
-    return _climbed(problem, tissue, screening, poses, stage, most, (3 * problem.seed + 3) % 2**32).parameters
+    return _climbed(problem, tissue, screening, poses, stage, most, (4 * problem.seed + 3) % 2**32).parameters
 
 
 def evolved(problem: Problem, tissue: Matcher, places: Float[Tensor, "n 9"], generations: int) -> Float[Tensor, "n 9"]:
