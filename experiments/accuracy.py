@@ -17,8 +17,9 @@ from tqdm import tqdm
 from experiments.command import told_in_one_line, use_threads
 from experiments.rows import accuracy_of, cost_of, nine_parameters
 from experiments.table import append, done, keep, locked, refuse_to_mix
+from regtorch.formats import read_volume
 from regtorch.geometry import Detector
-from regtorch.imaging import Radiograph, Volume, read_volume
+from regtorch.imaging import Radiograph, Volume
 from regtorch.registration import initial_parameters, register
 from regtorch.simulation import draw_parameters, simulate
 

@@ -9,8 +9,9 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 from torch import Tensor
 
+from regtorch.formats import read_volume
 from regtorch.geometry import Detector
-from regtorch.imaging import BONE_HU, Volume, attenuation, coarsen, crop_to_anatomy, read_volume
+from regtorch.imaging import BONE_HU, Volume, attenuation, coarsen, crop_to_anatomy
 from regtorch.phantom import make_phantom
 from regtorch.registration import initial_parameters
 

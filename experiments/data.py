@@ -6,9 +6,10 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from regtorch.imaging import Volume, read_points, read_volume
+from regtorch.formats import read_points, read_volume
+from regtorch.imaging import Volume
 from regtorch.phantom import make_phantom
-from regtorch.simulation.simulate import bone_points
+from regtorch.simulation.simulator import bone_points
 
 Targets = dict[str, tuple[float, float, float]]
 

@@ -28,8 +28,9 @@ from experiments.pictures import went_wrong, write_picture
 from experiments.rows import accuracy_of, cost_of, nine_parameters, verdict_of
 from experiments.table import append, done, keep, locked, parse_shard, refuse_to_mix, table_name
 from regtorch.errors import RegtorchError
+from regtorch.formats import read_points, read_volume
 from regtorch.geometry import KEYS, Detector
-from regtorch.imaging import Radiograph, Volume, read_points, read_volume
+from regtorch.imaging import Radiograph, Volume
 from regtorch.registration import initial_parameters, register
 from regtorch.simulation import Simulation, draw_parameters
 

@@ -72,10 +72,10 @@ def _demo(options: argparse.Namespace) -> int:
 
     from regtorch.evaluation import evaluate
     from regtorch.files import output_folder
-    from regtorch.imaging import read_radiograph, write_radiograph, write_volume
+    from regtorch.formats import read_radiograph, write_radiograph, write_volume
     from regtorch.phantom import make_phantom
     from regtorch.registration import initial_parameters
-    from regtorch.simulation.simulate import DETECTOR, RANGES, draw_geometry, simulate
+    from regtorch.simulation.simulator import DETECTOR, RANGES, draw_geometry, simulate
 
     _use_threads(options.threads)
     names = ("phantom.nii.gz", "radiograph.tiff", "truth.json", *_RESULTS)
@@ -101,8 +101,8 @@ def _simulate(options: argparse.Namespace) -> int:
     import torch
 
     from regtorch.files import output_folder
+    from regtorch.formats import read_points, read_volume, write_radiograph
     from regtorch.geometry import Detector
-    from regtorch.imaging import read_points, read_volume, write_radiograph
     from regtorch.registration import initial_parameters
     from regtorch.simulation import draw_geometry, simulate
 
@@ -137,7 +137,7 @@ def _half_range(options: argparse.Namespace):
 
 def _register(options: argparse.Namespace) -> int:
     from regtorch.files import output_folder
-    from regtorch.imaging import read_points, read_radiograph, read_volume
+    from regtorch.formats import read_points, read_radiograph, read_volume
 
     _use_threads(options.threads)
     if (options.landmark_ct is None) != (options.landmark_radiograph is None):

@@ -17,7 +17,8 @@ BELOW = {
     "files": {"errors"},
     "geometry": {"errors"},
     "optimization": {"errors"},  # knows no X-rays
-    "imaging": {"errors", "files", "geometry"},
+    "imaging": {"errors", "geometry", "limits"},
+    "formats": {"errors", "files", "geometry", "imaging", "limits"},
     "phantom": {"errors", "geometry", "imaging"},
     "drr": {"errors", "geometry", "imaging"},
     "similarity": {"errors", "geometry", "imaging"},

@@ -16,8 +16,8 @@ from PIL import Image
 
 from experiments import search, search_figures
 from regtorch.errors import RegtorchError
+from regtorch.formats.volumes import write_volume
 from regtorch.geometry import KEYS
-from regtorch.imaging.volume_files import write_volume
 from regtorch.phantom import make_phantom
 from regtorch.registration import Registration
 

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 
-from regtorch.imaging.dicom_radiograph import SDD_RANGE_MM
 from regtorch.imaging.radiograph import Radiograph
 from regtorch.imaging.volume import Volume
+from regtorch.limits import SDD_RANGE_MM
 
 _TISSUE_HU, _PADDING_HU = -300, -1500
 

@@ -1,8 +1,8 @@
 """Search of many starts at once. Knows nothing of X-rays: torch tensors in, torch tensors out."""
 
-from regtorch.optimization.cma_es import cma_es
+from regtorch.optimization.evolution_strategy import cma_es
 from regtorch.optimization.optimum import Optimum
 from regtorch.optimization.partition import kd_partition, multi_start
-from regtorch.optimization.pycma import pycma
+from regtorch.optimization.pycma_peer import pycma
 
 __all__ = ["Optimum", "cma_es", "kd_partition", "multi_start", "pycma"]

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from regtorch.optimization.cma_es import cma_es
+from regtorch.optimization.evolution_strategy import cma_es
 from regtorch.registration.matcher import Matcher
 from regtorch.registration.problem import Problem
 from regtorch.registration.screening import Candidates

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
+from regtorch.optimization.climbing import levenberg_marquardt
 from regtorch.registration.candidates import PLACE_MM, Stage, distinct, evolved, more_candidates
 from regtorch.registration.matcher import Climb, Matcher
 from regtorch.registration.problem import MIRROR, Found, Problem

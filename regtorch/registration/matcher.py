@@ -8,7 +8,7 @@ from torch import Tensor
 
 from regtorch.drr import render
 from regtorch.imaging import Volume, continued
-from regtorch.optimization.levenberg_marquardt import Ascent, levenberg_marquardt
+from regtorch.optimization.climbing import Ascent, levenberg_marquardt
 from regtorch.registration.objective import Level
 from regtorch.registration.problem import Problem
 from regtorch.scoring import gradient_correlations, normal_equations

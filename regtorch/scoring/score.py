@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.drr import cpu, triton
-from regtorch.drr.render import Backend, Method, chosen_backend, rays_of
+from regtorch.drr.rendering import Backend, Method, chosen_backend, rays_of
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, ray_jacobian
 from regtorch.imaging.volume import Volume

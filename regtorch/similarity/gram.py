@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.similarity.gradients import gradient_weight, image_gradients
-from regtorch.similarity.normalized_cross_correlation import centred_, peak
+from regtorch.similarity.ncc import centred_, peak
 
 
 class FixedGradients(NamedTuple):

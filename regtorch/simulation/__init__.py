@@ -2,10 +2,10 @@
 
 from regtorch.simulation.blur import add_scatter, blur_detector, blur_focal_spot
 from regtorch.simulation.devices import add_devices
+from regtorch.simulation.imaging_chain import realistic
 from regtorch.simulation.noise import add_quantum_noise
 from regtorch.simulation.readout import add_gain_and_offset, digitise
-from regtorch.simulation.realistic import realistic
-from regtorch.simulation.simulate import Simulation, draw_geometry, draw_parameters, simulate
+from regtorch.simulation.simulator import Simulation, draw_geometry, draw_parameters, simulate
 from regtorch.simulation.soft_tissue import move_soft_tissue
 from regtorch.simulation.text import add_text
 

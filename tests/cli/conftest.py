@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from regtorch.cli import main
-from regtorch.imaging import write_volume
+from regtorch.formats import write_volume
 from regtorch.phantom import make_phantom
 from regtorch.registration import evolution as evolution_module
 from regtorch.registration import hybrid as hybrid_module

@@ -10,7 +10,7 @@ from regtorch.arguments import parser
 from regtorch.geometry import VIEWS, Detector
 from regtorch.imaging import BONE_HU
 from regtorch.registration.initial import SEARCH
-from regtorch.simulation.simulate import DETECTOR, RANGES
+from regtorch.simulation.simulator import DETECTOR, RANGES
 
 from .commands import REGISTER
 

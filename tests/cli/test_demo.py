@@ -3,7 +3,7 @@
 from functools import partial
 from pathlib import Path
 
-from regtorch.imaging import read_volume
+from regtorch.formats import read_volume
 from regtorch.phantom import make_phantom
 
 from .commands import run

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from regtorch.formats import read_volume
 from regtorch.geometry import Detector, parameters_from_dict, pixel_from_patient
-from regtorch.imaging import read_volume
 
 from .commands import PARAMETERS, result_of, run
 

@@ -14,8 +14,9 @@ import pytest
 import torch
 
 from regtorch.drr import render
+from regtorch.formats import read_volume
 from regtorch.geometry import Detector, pixel_from_patient, project, world_from_ct
-from regtorch.imaging import Volume, attenuation, coarsen, read_volume
+from regtorch.imaging import Volume, attenuation, coarsen
 
 from .scenes import pose_of, relative
 

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Volume, attenuation, bone_contrast, coarsen, crop_to_anatomy, read_volume
+from regtorch.formats import read_volume
+from regtorch.imaging import Volume, attenuation, bone_contrast, coarsen, crop_to_anatomy
 
 
 def volume_of(data: torch.Tensor, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:

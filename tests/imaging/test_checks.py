@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from regtorch.formats import read_volume
 from regtorch.geometry import Detector
-from regtorch.imaging import Radiograph, Volume, attenuation, check_radiograph, check_volume, coarsen, read_volume
+from regtorch.imaging import Radiograph, Volume, attenuation, check_radiograph, check_volume, coarsen
 
 from .test_field import torso
 

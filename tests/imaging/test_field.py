@@ -7,7 +7,8 @@ import torch
 from kornia.filters import gaussian_blur2d
 from torch.nn.functional import interpolate, pad
 
-from regtorch.imaging import attenuation, coarsen, read_volume
+from regtorch.formats import read_volume
+from regtorch.imaging import attenuation, coarsen
 from regtorch.imaging.field import exposed_field
 
 

@@ -9,8 +9,9 @@ from kornia.filters import gaussian_blur2d
 from PIL import Image
 
 from regtorch.evaluation import projection_distances
+from regtorch.formats import read_radiograph
 from regtorch.geometry import Detector
-from regtorch.imaging import attenuation, read_radiograph
+from regtorch.imaging import attenuation
 from regtorch.plotting import write_overlay
 from regtorch.registration import register
 from regtorch.registration.hybrid import Stage, hybrid

@@ -11,7 +11,7 @@ from regtorch.drr import render
 from regtorch.evaluation import projection_distances
 from regtorch.geometry import Detector, pixel_from_patient
 from regtorch.imaging import Radiograph
-from regtorch.optimization.evolve import evolve
+from regtorch.optimization.evolution_climbing import evolve
 from regtorch.registration import register
 from regtorch.registration.candidates import evolved
 from regtorch.registration.hybrid import Stage, hybrid

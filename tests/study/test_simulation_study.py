@@ -20,8 +20,8 @@ from experiments.merge import KEY, merge
 from experiments.rows import code_version
 from experiments.table import append, done, keep, locked, refuse_to_mix, whole_lines
 from regtorch.errors import RegtorchError
+from regtorch.formats.volumes import write_volume
 from regtorch.geometry import KEYS, parameters_from_dict
-from regtorch.imaging.volume_files import write_volume
 from regtorch.phantom import make_phantom
 from regtorch.report import report
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from regtorch.optimization.evolve import evolve
+from regtorch.optimization.evolution_climbing import evolve
 
 TOP = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
 

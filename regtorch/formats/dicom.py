@@ -13,7 +13,7 @@ from pydicom import Dataset
 
 from regtorch.errors import RegtorchError
 from regtorch.files import one_line
-from regtorch.imaging.files import native_silence
+from regtorch.formats.files import native_silence
 
 
 @contextmanager

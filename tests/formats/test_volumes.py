@@ -8,7 +8,8 @@ import SimpleITK
 import torch
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Volume, check_volume, read_volume, write_volume
+from regtorch.formats import read_volume, write_volume
+from regtorch.imaging import Volume, check_volume
 
 SUFFIXES = ["nii", "nii.gz", "nrrd", "mha"]
 AXES = {

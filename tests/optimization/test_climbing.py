@@ -2,7 +2,7 @@
 
 import torch
 
-from regtorch.optimization.levenberg_marquardt import levenberg_marquardt
+from regtorch.optimization.climbing import levenberg_marquardt
 
 SCALE = torch.tensor([1.0, 0.05], dtype=torch.float64)
 TRUE = torch.tensor([3.0, 0.4], dtype=torch.float64)

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.files import one_line
+from regtorch.formats.dicom_radiographs import StoredRadiograph, read_dicom
+from regtorch.formats.files import is_dicom
+from regtorch.formats.intensity import Meaning, check_intensity, line_integrals
 from regtorch.geometry import Detector, same_view, world_from_patient_axes
-from regtorch.imaging.dicom_radiograph import StoredRadiograph, read_dicom
 from regtorch.imaging.field import exposed_field
-from regtorch.imaging.files import is_dicom
-from regtorch.imaging.intensity import Meaning, check_intensity, line_integrals
 from regtorch.imaging.orientation import pixel_axes, turned
 from regtorch.imaging.radiograph import Radiograph
 

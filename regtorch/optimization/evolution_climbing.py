@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from regtorch.optimization.cma_es import cma_es
-from regtorch.optimization.levenberg_marquardt import Ascent, Equations
+from regtorch.optimization.climbing import Ascent, Equations
+from regtorch.optimization.evolution_strategy import cma_es
 
 
 def evolve(

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.optimization.cma_es import Objective
+from regtorch.optimization.evolution_strategy import Objective
 from regtorch.optimization.optimum import Optimum
 from regtorch.optimization.start import prepare
 

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import Radiograph, check_radiograph, level, read_radiograph
+from regtorch.formats import read_radiograph
+from regtorch.imaging import Radiograph, check_radiograph, level
 
 
 @pytest.fixture(scope="module")

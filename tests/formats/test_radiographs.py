@@ -11,8 +11,9 @@ import torch
 from PIL import Image
 
 from regtorch.errors import RegtorchError
+from regtorch.formats import read_radiograph, write_radiograph
 from regtorch.geometry import Detector
-from regtorch.imaging import check_radiograph, read_radiograph, write_radiograph
+from regtorch.imaging import check_radiograph
 
 File = Callable[..., Path]
 RAMP = np.arange(24, dtype=np.float32).reshape(6, 4) / 23

@@ -8,9 +8,9 @@ import torch
 
 from regtorch.errors import RegtorchError
 from regtorch.files import one_line, written_whole
-from regtorch.imaging.dicom_volume import read_dicom_folder
-from regtorch.imaging.files import is_dicom, native_silence
-from regtorch.imaging.nifti import check_nifti
+from regtorch.formats.dicom_volumes import read_dicom_folder
+from regtorch.formats.files import is_dicom, native_silence
+from regtorch.formats.nifti import check_nifti
 from regtorch.imaging.volume import Volume
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".mha")

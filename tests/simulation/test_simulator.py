@@ -12,7 +12,7 @@ from regtorch.errors import RegtorchError
 from regtorch.geometry import KEYS, Detector, parameters_from_dict, project, world_from_ct
 from regtorch.imaging import Volume, attenuation
 from regtorch.simulation import add_quantum_noise, draw_geometry, draw_parameters, simulate
-from regtorch.simulation.simulate import RANGES
+from regtorch.simulation.simulator import RANGES
 
 POSE = torch.tensor([10, -5, 1000, 3, 4, 300, 0.05, -0.03, 0.02], dtype=torch.float64)
 DETECTOR = Detector(60, 80, 3.0)

@@ -12,7 +12,7 @@ from pydicom import Dataset
 
 from regtorch.errors import RegtorchError
 from regtorch.files import one_line
-from regtorch.imaging.dicom import number, numbers, quiet, read_header, read_pixels, words
+from regtorch.formats.dicom import number, numbers, quiet, read_header, read_pixels, words
 from regtorch.imaging.volume import Volume
 
 _KEYWORDS = [

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import read_points
+from regtorch.formats import read_points
 
 POINTS = {"T1": (1.0, 2.5, -3.0), "left hip": (-10.0, 20.0, 4.0), "L5, below": (0.0, -0.125, 1e3)}
 COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"

@@ -10,15 +10,14 @@ from PIL import Image, ImageDraw
 from pydicom import Dataset
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging.dicom import number, numbers, quiet, read_header, read_pixels, words
-from regtorch.imaging.intensity import Meaning, dicom_meaning
+from regtorch.formats.dicom import number, numbers, quiet, read_header, read_pixels, words
+from regtorch.formats.intensity import Meaning, dicom_meaning
+from regtorch.limits import SDD_RANGE_MM
 
 _PROJECTIONS = ("CR", "DX", "RF", "XA")
 _FLUORO = ("RF", "XA")
 _NOT_PROJECTIONS = ("CT", "MR", "PT", "NM", "US")
 _VIEW_POSITIONS = {"PA": ("PA",), "AP": ("AP",), "LL": ("LLAT", "LAT"), "RL": ("RLAT",)}
-SDD_RANGE_MM = (300.0, 6000.0)
-"""From a small C-arm to the longest room; DICOM writers put 0 where they know nothing."""
 _LEAST_OPENING = 1 / 16
 """Of the image, that a shutter leaves."""
 

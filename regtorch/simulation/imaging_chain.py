@@ -13,7 +13,7 @@ from regtorch.simulation.blur import add_scatter, blur_detector, blur_focal_spot
 from regtorch.simulation.devices import add_devices
 from regtorch.simulation.noise import add_quantum_noise
 from regtorch.simulation.readout import add_gain_and_offset, digitise
-from regtorch.simulation.simulate import DETECTOR, Simulation, bone_points, simulate
+from regtorch.simulation.simulator import DETECTOR, Simulation, bone_points, simulate
 from regtorch.simulation.soft_tissue import move_soft_tissue
 from regtorch.simulation.text import add_text
 

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 from regtorch.files import written_whole
+from regtorch.formats.radiographs import METADATA_KEY
 from regtorch.geometry import Detector
 from regtorch.imaging.orientation import directions
-from regtorch.imaging.radiograph_files import METADATA_KEY
 
 _VIEW_POSITIONS = {"PA": "PA", "AP": "AP", "LAT": "LL", "LLAT": "LL", "RLAT": "RL"}
 

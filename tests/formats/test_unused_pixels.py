@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from regtorch.imaging import read_radiograph
+from regtorch.formats import read_radiograph
 
-from .test_field import collimated, torso
+from tests.imaging.test_field import collimated, torso
 
 File = Callable[..., Path]
 

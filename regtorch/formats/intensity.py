@@ -23,7 +23,7 @@ from numpy import ndarray
 from pydicom import Dataset
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging.dicom import number
+from regtorch.formats.dicom import number
 
 INTENSITIES = ("auto", "line", "counts")
 

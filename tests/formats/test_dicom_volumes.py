@@ -9,7 +9,7 @@ import torch
 from pydicom.dataset import Dataset
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging import read_volume
+from regtorch.formats import read_volume
 
 from .conftest import save
 

@@ -10,7 +10,7 @@ from regtorch.similarity import cpu, triton
 from regtorch.similarity.batches import over_images
 from regtorch.similarity.gradients import gradient_weight, image_gradients
 from regtorch.similarity.gram import equations_from_gram, fixed_gradients
-from regtorch.similarity.normalized_cross_correlation import centred_, peak
+from regtorch.similarity.ncc import centred_, peak
 
 
 def gradient_correlation(
