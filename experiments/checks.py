@@ -26,7 +26,7 @@ from regtorch.errors import RegtorchError
 from regtorch.files import one_line
 from regtorch.geometry import VIEWS
 from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
-from regtorch.registration.hybrid import hybrid
+from regtorch.registration import hybrid
 from regtorch.similarity import gradient_correlation
 
 CASES = ("views", "seeds", "first_seed", "shard", "threads", "device", "out")

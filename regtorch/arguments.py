@@ -101,6 +101,9 @@ def parser() -> argparse.ArgumentParser:
     add("--dof", type=int, default=9, choices=(9, 7, 6), help="what is sought: 9 all, 7 SDD and patient, 6 patient (9)")
     text = "hybrid; or the paper's, cmaes; or that by package cma, pycma (%(default)s)"
     add("--method", default="hybrid", choices=("hybrid", "cmaes", "pycma"), help=text)
+    text = "numbers that the search varies: source and patient against the detector, or source and detector against "
+    text += "the patient, which needs --dof 9 (%(default)s)"
+    add("--parameters", default="patient", choices=("patient", "detector"), help=text)
     add("--pixel-mm", type=_PIXEL_MM, metavar="MM", help="pixel size; overrules the file's")
     add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance to begin with (the file's, else 1000)")
     _add_ranges(add, "searched about the start, 0 to freeze", (75, 75, 150), (150, 150, 150), 12)

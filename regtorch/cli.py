@@ -159,6 +159,7 @@ def _register(options: argparse.Namespace) -> int:
             options, folder, ct, radiograph, targets,
             free=options.dof, half_range=_half_range(options), sdd_mm=options.sdd_mm,
             threshold_hu=options.threshold_hu, method=options.method, device=options.device,
+            parameters=options.parameters,
             landmark_patient_mm=options.landmark_ct and tuple(options.landmark_ct),
             landmark_stored=options.landmark_radiograph and tuple(options.landmark_radiograph),
         )  # fmt: skip
@@ -168,7 +169,15 @@ def _register(options: argparse.Namespace) -> int:
 
 
 def _registered(
-    options: argparse.Namespace, folder: Path, ct, radiograph, targets, method="hybrid", device="cpu", **settings
+    options: argparse.Namespace,
+    folder: Path,
+    ct,
+    radiograph,
+    targets,
+    method="hybrid",
+    parameters="patient",
+    device="cpu",
+    **settings,
 ):
     """Register with a progress bar, write result.json and overlay.png."""
     from functools import partial
@@ -176,17 +185,17 @@ def _registered(
     from regtorch import optimization
     from regtorch.imaging import BONE_HU, attenuation, crop_to_anatomy
     from regtorch.plotting import write_overlay
-    from regtorch.registration import register
-    from regtorch.registration.evolution import evolution
-    from regtorch.registration.hybrid import hybrid
+    from regtorch.registration import cmaes, detector_frame, hybrid, register, selection
 
-    methods = {"hybrid": hybrid, "cmaes": evolution, "pycma": partial(evolution, optimizer=optimization.pycma)}
+    methods = {"hybrid": hybrid, "cmaes": cmaes, "pycma": partial(cmaes, optimizer=optimization.pycma)}
+    coordinates = {"patient": selection, "detector": detector_frame}
     with progress_bar() as progress:
         result = register(
             ct.to(device),
             radiograph,
             options.view,
             method=methods[method],
+            coordinates=coordinates[parameters],
             seed=options.seed,
             progress=progress,
             **settings,

@@ -2,8 +2,17 @@
 
 from regtorch.geometry.detector import Detector
 from regtorch.geometry.parameters import (
+    ETA,
     KEYS,
     NAMES,
+    PHI,
+    THETA,
+    X_OBJ,
+    X_S,
+    Y_OBJ,
+    Y_S,
+    Z_OBJ,
+    Z_S,
     free_indices,
     parameters_from_dict,
     parameters_to_dict,
@@ -20,9 +29,18 @@ from regtorch.geometry.rotation import euler_from_rotation, rotation_from_euler
 from regtorch.geometry.views import VIEWS, same_view, world_from_patient_axes
 
 __all__ = [
+    "ETA",
     "KEYS",
     "NAMES",
+    "PHI",
+    "THETA",
     "VIEWS",
+    "X_OBJ",
+    "X_S",
+    "Y_OBJ",
+    "Y_S",
+    "Z_OBJ",
+    "Z_S",
     "Detector",
     "cone_beam_rays",
     "euler_from_rotation",

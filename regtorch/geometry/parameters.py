@@ -12,6 +12,9 @@ from regtorch.errors import RegtorchError
 NAMES = ("x_s", "y_s", "z_s", "x_obj", "y_obj", "z_obj", "eta", "theta", "phi")
 """Source (mm, ``world``; z_s is the SDD), patient (mm, ``world``), rotations (rad) about X, Y and Z."""
 
+X_S, Y_S, Z_S, X_OBJ, Y_OBJ, Z_OBJ, ETA, THETA, PHI = range(len(NAMES))
+"""Positions of the nine parameters in a tensor."""
+
 KEYS = tuple(f"{name}_mm" for name in NAMES[:6]) + tuple(f"{name}_deg" for name in NAMES[6:])
 """The same, as they are called in files and tables, where angles are in degrees."""
 

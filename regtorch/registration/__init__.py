@@ -1,7 +1,22 @@
 """Registration of one radiograph to one CT: initialise, search from many starts, refine, judge."""
 
-from regtorch.registration.initial import initial_parameters
-from regtorch.registration.register import register
+from regtorch.registration.pipeline import register
 from regtorch.registration.result import Registration
+from regtorch.registration.search import Settings, Stage, cmaes, hybrid
+from regtorch.registration.start import initial_parameters
+from regtorch.registration.trust import Evidence, Reason
+from regtorch.registration.unknowns import detector_frame, selection
 
-__all__ = ["Registration", "initial_parameters", "register"]
+__all__ = [
+    "Evidence",
+    "Reason",
+    "Registration",
+    "Settings",
+    "Stage",
+    "cmaes",
+    "detector_frame",
+    "hybrid",
+    "initial_parameters",
+    "register",
+    "selection",
+]

@@ -1,33 +1,47 @@
-"""What every search method is given: the pair, where to begin, how far to look, and what may move."""
+"""What every search method gets, and what it gives back."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from regtorch.evaluation import projection_distances
-from regtorch.geometry import NAMES, pixel_from_patient
+from regtorch.geometry import X_OBJ, Y_OBJ, Z_OBJ, Z_S, pixel_from_patient
 from regtorch.imaging import Radiograph, Volume
-from regtorch.registration.initial import SEARCH
-from regtorch.registration.objective import Level, Similarity
+from regtorch.registration.unknowns import Range, Unknowns, selection
 
 Progress = Callable[[float, str], None]
+Similarity = Callable[..., Float[Tensor, " b"]]
 
-MIRROR = torch.tensor([-1, 1, 1, -1, 1, 1, 1, -1, -1], dtype=torch.float64)
-"""What the parameters are multiplied by when everything is mirrored in the plane X = 0: for M = diag(-1, 1, 1),
-M Rz(phi) Ry(theta) Rx(eta) M = Rz(-phi) Ry(-theta) Rx(eta)."""
+SHIFTED = (X_OBJ, Y_OBJ)
+"""The parameters that move the image in its plane and hardly change it."""
+
+_STEP = 1e-3
+"""Share of an unknown's step by which its effect on the image is measured."""
+
+_EFFECT = (1e-3, 1e6)
+"""Least and largest effect of an unknown, mm in the detector plane per unit: optimisers scale by the inverse."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is searched for, and where.
+    """A pair to register, and where to look.
 
-    ``attenuating`` is the CT above ``threshold_hu`` as it is rendered, cropped, ``whole`` all its tissue; ``points``
-    (LPS mm) lie on the anatomy in the image. Parameters in ``free`` may move within ``half_range`` of ``initial``
-    (mm, rad); the others stay. ``progress`` is told the share that is done and what goes on.
+    Args:
+        attenuating: The CT above ``threshold_hu``, cropped to it, per mm.
+        threshold_hu: From which HU on the CT counts as bone; None: all tissue.
+        whole: All tissue of the CT, per mm.
+        radiograph: The fixed image.
+        view: How the patient stands at zero rotation.
+        similarity: How alike two images are.
+        searched: The start and the range of the nine parameters.
+        points: Points on the anatomy in the image (LPS mm), by which moves of the image are measured.
+        seed: Of all random numbers.
+        progress: Called with the share done and a short text.
+        coordinates: Which numbers the climbs vary: ``selection`` or ``detector_frame``.
     """
 
     attenuating: Volume
@@ -36,104 +50,75 @@ class Problem:
     radiograph: Radiograph
     view: str
     similarity: Similarity
-    initial: Float[Tensor, "9"]
-    half_range: Float[Tensor, "9"]
-    free: list[int]
+    searched: Range
     points: Float[Tensor, "n 3"]
     seed: int
     progress: Progress
+    coordinates: Callable[[Range], Unknowns] = selection
 
-    @property
-    def lower(self) -> Float[Tensor, " d"]:
-        """Least values of the free parameters; the source stays in front of the detector."""
-        lower = self.initial - self.half_range
-        lower[2] = torch.maximum(lower[2], self.initial[2] / 4)
-        return lower[self.free]
+    @cached_property
+    def unknowns(self) -> Unknowns:
+        """The numbers that climbs vary."""
+        return self.coordinates(self.searched)
 
-    @property
-    def upper(self) -> Float[Tensor, " d"]:
-        return (self.initial + self.half_range)[self.free]
+    def parameters(self, values: Float[Tensor, "*b d"]) -> Float[Tensor, "*b 9"]:
+        """The nine parameters of the only image and bone."""
+        return self.unknowns.parameters(values)[..., 0, 0, :]
 
     @property
     def magnification(self) -> float:
-        """Of the patient's middle in the image, at the start."""
-        return float(self.initial[2] / (self.initial[2] - self.initial[5]))
+        """Magnification of the patient's middle at the start."""
+        initial = self.searched.initial
+        return float(initial[Z_S] / (initial[Z_S] - initial[Z_OBJ]))
 
     @property
     def reach_mm(self) -> float:
-        """How far above and below the CT's origin the image may show the patient, wherever this may be."""
+        """Distance from the CT's origin along the body beyond which no pose in the range shows the patient."""
         half_image = max(self.radiograph.detector.rows, self.radiograph.detector.columns) / 2
-        aside = float(self.initial[4].abs() + (self.half_range[4] if 4 in self.free else 0))
+        aside = float(self.searched.initial[Y_OBJ].abs() + self.searched.half_range[Y_OBJ])
         return half_image * self.radiograph.detector.pixel_mm + aside
 
-    def embed(self, values: Float[Tensor, "*b d"]) -> Float[Tensor, "*b 9"]:
-        """All nine parameters for values of the free ones."""
-        parameters = self.initial.expand(*values.shape[:-1], len(NAMES)).clone()
-        parameters[..., self.free] = values
-        return parameters
+    def pixel_from_patient(self, parameters: Float[Tensor, "*b 9"]) -> Float[Tensor, "*b 3 4"]:
+        """Projection from LPS mm to (column, row) of the whole radiograph, seen from the source."""
+        return pixel_from_patient(parameters, self.radiograph.detector, self.view, self.attenuating.origin_patient_mm)
 
-    def all_free(self) -> "Problem":
-        """The same where all nine may move: those that were frozen as far as they are searched unless told."""
-        half_range = self.half_range.clone()
-        frozen = [index for index in range(len(NAMES)) if index not in self.free]
-        half_range[frozen] = torch.tensor(SEARCH, dtype=torch.float64)[frozen]
-        return replace(self, free=list(range(len(NAMES))), half_range=half_range)
+    def all_free(self, half_range: Float[Tensor, "9"]) -> "Problem":
+        """The same with all nine parameters free: frozen ones within ``half_range`` (mm, rad)."""
+        return replace(self, searched=self.searched.released(half_range))
 
     def mirrored(self) -> "Problem":
         """The same with the radiograph mirrored left to right, and source and patient with it."""
         image, weight = self.radiograph.image.flip(1), self.radiograph.weight.flip(1)
-        radiograph = replace(self.radiograph, image=image, weight=weight)
-        return replace(self, radiograph=radiograph, initial=self.initial * MIRROR)
-
-    def shift_mm(self, parameters: Float[Tensor, "*b 9"], others: Float[Tensor, "*#b 9"]) -> Float[Tensor, "*b"]:
-        """Mean distance in the detector plane between what two sets of parameters make of the points."""
-        place = self.radiograph.detector, self.view, self.attenuating.origin_patient_mm
-        matrices = [pixel_from_patient(p, *place) for p in (parameters, others)]
-        return projection_distances(*matrices, self.points, self.radiograph.detector.pixel_mm).mean(-1)
-
-    def sensitivity(self) -> Float[Tensor, " d"]:
-        """What a unit (mm, rad) of each free parameter does to the points in the detector plane, in mm.
-
-        Within limits, so that optimisers may scale by its inverse also what moves nothing.
-        """
-        step = self.half_range * 1e-3
-        moved = (self.initial + torch.diag(step))[self.free]
-        return (self.shift_mm(moved, self.initial) / step[self.free]).clamp(1e-3, 1e6)
-
-    def level(
-        self, longest: int, voxel_per_pixel: float, volume: Volume | None = None, *, least_ratio: float = 1.0
-    ) -> Level:
-        """The pair at one level of the pyramid; of the CT what is rendered, or another ``volume`` of it."""
-        return Level.of(
-            self.attenuating if volume is None else volume,
-            self.radiograph,
-            self.view,
-            self.similarity,
-            longest,
-            self.magnification,
-            voxel_per_pixel,
-            least_ratio,
+        return replace(
+            self,
+            radiograph=replace(self.radiograph, image=image, weight=weight),
+            searched=self.searched.mirrored(),
         )
 
+    def shift_mm(self, parameters: Float[Tensor, "*b 9"], others: Float[Tensor, "*#b 9"]) -> Float[Tensor, "*b"]:
+        """Mean distance in the detector plane between the projections of the points by two poses."""
+        matrices = [self.pixel_from_patient(p) for p in (parameters, others)]
+        return projection_distances(*matrices, self.points, self.radiograph.detector.pixel_mm).mean(-1)
 
-@dataclass(frozen=True)
-class Found:
-    """The answer of a search method; ``starts`` (best first) and their similarities are those it chose the place by.
+    def same_place(
+        self, parameters: Float[Tensor, "*b 9"], others: Float[Tensor, "*#b 9"], within_mm: float
+    ) -> Bool[Tensor, "*b"]:
+        """Whether two poses put the anatomy at the same place of the image, to within a mean distance."""
+        return self.shift_mm(parameters, others) <= within_mm
 
-    ``covariance`` is that of the nine parameters (mm, rad), if the method knows any. It holds ``released``, how far
-    they go from there once those that are frozen may move, if any are. Below ``weak_similarity`` the best start is no
-    better than those for another's anatomy, if the method knows how good these are. ``mirrored_similarity`` is what the
-    best start reaches with the radiograph mirrored, if the method has tried. ``gain`` is how many times as similar the
-    answer is once what it does not explain is marked down, if the method does that and all tissue does not explain it.
-    """
+    def distinct(self, parameters: Float[Tensor, "n 9"], within_mm: float, most: int, each: int = 1) -> list[int]:
+        """Indices of the first ``most`` poses of which no more than ``each`` are at the same place."""
+        kept: list[int] = []
+        for index in range(len(parameters)):
+            if len(kept) == most:
+                break
+            if not kept or int(self.same_place(parameters[kept], parameters[index], within_mm).sum()) < each:
+                kept.append(index)
+        return kept
 
-    parameters: Float[Tensor, "9"]
-    similarity: float
-    starts: Float[Tensor, "n 9"]
-    start_similarity: Float[Tensor, " n"]
-    evaluations: int
-    covariance: Float[Tensor, "9 9"] | None = None
-    released: Float[Tensor, "9"] | None = None
-    weak_similarity: float = 0.0
-    mirrored_similarity: float = -1.0
-    gain: float = math.inf
+    @cached_property
+    def sensitivity(self) -> Float[Tensor, " d"]:
+        """How far a unit of each unknown moves the points in the detector plane, mm; kept away from 0 and infinity."""
+        step = self.unknowns.step * _STEP
+        moved = self.parameters(self.unknowns.values(self.searched.initial) + torch.diag(step))
+        return (self.shift_mm(moved, self.searched.initial) / step).clamp(*_EFFECT)

@@ -1,8 +1,8 @@
 """What a registration found, how sure that is, and what it cost."""
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,25 +10,43 @@ from torch import Tensor
 from regtorch import __version__
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, parameters_to_dict
-from regtorch.registration.uncertainty import projection_covariance
+from regtorch.registration.trace import Step
+from regtorch.registration.trust.evidence import Evidence
+from regtorch.registration.trust.rules import Reason, Status
+from regtorch.registration.trust.uncertainty import projection_covariance
 
-Status = Literal["ok", "doubtful", "failed"]
+_MEAN, _BOUND = math.sqrt(math.pi) / 2, math.sqrt(-math.log(0.05))
+"""Mean and 95 % bound of a length, over its root mean square, where both directions vary alike (Rayleigh)."""
 
 
 @dataclass(frozen=True)
 class Registration:
     """Where source, patient and detector stood.
 
-    ``parameters`` and ``initial`` are the nine (mm, rad; float64). ``image_from_patient`` maps LPS mm to (column, row)
-    of the image seen from the source, whose rows and columns ``detector`` tells, and ``pixel_from_patient`` to those of
-    the image as its file stores it, by ``stored_from_pixel``: ``mirrored``, it may be, or on its side. ``message`` says
-    in one sentence why ``status`` is what it is; ``warnings`` are one line each. ``similarity`` is that of the finest
-    level, between -1 and 1, and by ``hybrid`` with what the DRR does not explain marked down. ``starts`` is where the
-    starts of a coarse level ended, best first, and ``start_similarity`` how well.
-
-    ``covariance`` is that of the nine parameters (mm, rad), as parts of the image disagree about them; where some are
-    frozen and do not fit, it holds besides how far all go once these are free. ``error_rms_mm`` is what it makes of the
-    anatomy in the detector plane. They are None and not a number where the method or the similarity gives none.
+    Args:
+        parameters: The nine parameters (mm, rad; float64).
+        initial: Those of the start.
+        view: How the patient stands at zero rotation.
+        detector: Rows, columns and pixel size of the image seen from the source.
+        mirrored: Whether the file stores the image as seen from the detector.
+        image_from_patient: Projection from LPS mm to (column, row) of the image seen from the source.
+        stored_from_pixel: From there to (column, row) of the image as its file stores it.
+        status: ``ok``, ``doubtful`` or ``failed``.
+        message: Why, in one sentence.
+        reasons: Every rule that the result has broken, with its code and sentence.
+        evidence: The numbers that the rules judged.
+        warnings: Other things a reader should know, one line each.
+        similarity: Of the finest level, -1 to 1; robustly weighted by ``hybrid``.
+        starts: Where the starts ended on the level that chose the place, best first.
+        start_similarity: Of these starts.
+        evaluations: Poses that were looked at.
+        trace: The steps of the search.
+        covariance: Of the nine parameters (mm, rad); None where the method or the similarity gives none. Where frozen
+            parameters do not fit, it holds besides how far all go once these are free.
+        origin_patient_mm: The CT's centre, LPS mm.
+        device: Where DRRs were made.
+        seed: Of all random numbers.
+        seconds: How long it took.
     """
 
     parameters: Float[Tensor, "9"]
@@ -40,17 +58,19 @@ class Registration:
     stored_from_pixel: Float[Tensor, "3 3"]
     status: Status
     message: str
+    reasons: tuple[Reason, ...]
+    evidence: Evidence
     warnings: tuple[str, ...]
     similarity: float
     starts: Float[Tensor, "n 9"]
     start_similarity: Float[Tensor, " n"]
     evaluations: int
+    trace: tuple[Step, ...]
     covariance: Float[Tensor, "9 9"] | None
-    error_rms_mm: float
     origin_patient_mm: Float[Tensor, "3"]
-    seconds: float
     device: str
     seed: int
+    seconds: float = 0.0
 
     @property
     def pixel_from_patient(self) -> Float[Tensor, "3 4"]:
@@ -61,6 +81,8 @@ class Registration:
         return {
             "status": self.status,
             "message": self.message,
+            "reasons": [asdict(reason) for reason in self.reasons],
+            "evidence": self.evidence.to_dict(),
             "warnings": list(self.warnings),
             "parameters": parameters_to_dict(self.parameters),
             "initial_parameters": parameters_to_dict(self.initial),
@@ -77,6 +99,7 @@ class Registration:
             "similarity": self.similarity,
             "evaluations": self.evaluations,
             "seconds": round(self.seconds, 3),
+            "trace": [asdict(step) for step in self.trace],
             "device": self.device,
             "seed": self.seed,
             "version": __version__,
@@ -93,11 +116,15 @@ class Registration:
         each = projection_covariance(self.parameters, self.covariance, points_mm.double(), *place)
         return each.diagonal(dim1=1, dim2=2).sum(1).sqrt()
 
-    def expected_pde_mm(self, points_mm: Float[Tensor, "n 3"] | None = None) -> tuple[float, float] | None:
-        """The PDE to expect of points (LPS mm; the anatomy in the image unless given), and what 95 % are below; in mm.
+    @property
+    def error_rms_mm(self) -> float:
+        """Expected error of the anatomy in the detector plane, root mean square, mm; not a number where unknown."""
+        return math.nan if self.evidence.expected_mm is None else self.evidence.expected_mm
 
-        None where that cannot be told. Where errors are alike in both directions their mean is 0.89 of the root mean
-        square, and 1.73 of that holds 95 % (Rayleigh).
+    def expected_pde_mm(self, points_mm: Float[Tensor, "n 3"] | None = None) -> tuple[float, float] | None:
+        """Expected PDE of points (LPS mm; the anatomy in the image unless given) and its 95 % bound, mm.
+
+        None where that cannot be told.
         """
         if self.covariance is None:
             return None
@@ -105,7 +132,7 @@ class Registration:
             rms = self.error_rms_mm
         else:
             rms = float(self.expected_errors_mm(points_mm).square().mean().sqrt())
-        return (math.sqrt(math.pi) / 2 * rms, math.sqrt(-math.log(0.05)) * rms) if math.isfinite(rms) else None
+        return (_MEAN * rms, _BOUND * rms) if math.isfinite(rms) else None
 
     def _uncertainty(self) -> dict[str, Any]:
         told = self.expected_pde_mm()

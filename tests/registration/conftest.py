@@ -12,12 +12,20 @@ from regtorch.imaging.points import spread_points
 from regtorch.phantom import make_phantom
 from regtorch.registration import initial_parameters
 from regtorch.registration.problem import Problem
+from regtorch.registration.unknowns import Range
 from regtorch.similarity import gradient_correlation
 from regtorch.simulation import Simulation, simulate
 
 DETECTOR = Detector(100, 80, 3.5)
 OFF = (15.0, -10.0, 30.0, 10.0, -12.0, 20.0, 0.04, -0.05, 0.03)
 HALF_RANGE = (30.0, 30.0, 60.0, 30.0, 30.0, 60.0, 0.1, 0.1, 0.1)
+
+
+def searched(free: list[int], initial: Tensor, half_range: Tensor | None = None) -> Range:
+    given = torch.tensor(HALF_RANGE, dtype=torch.float64) if half_range is None else half_range
+    half_range = torch.zeros(9, dtype=torch.float64)
+    half_range[free] = given[free]
+    return Range(initial, half_range)
 
 
 @dataclass(frozen=True)
@@ -27,7 +35,10 @@ class Pair:
     truth: Simulation
     radiograph: Radiograph
 
-    def problem(self, free: list[int], **changes: object) -> Problem:
+    def problem(
+        self, free: list[int], *, initial: Tensor | None = None, half_range: Tensor | None = None, **changes: object
+    ) -> Problem:
+        initial = self.initial if initial is None else initial
         attenuating = attenuation(crop_to_anatomy(self.ct))
         settings = {
             "attenuating": attenuating,
@@ -36,9 +47,7 @@ class Pair:
             "radiograph": self.radiograph,
             "view": "PA",
             "similarity": gradient_correlation,
-            "initial": self.initial,
-            "half_range": torch.tensor(HALF_RANGE, dtype=torch.float64),
-            "free": free,
+            "searched": searched(free, initial, half_range),
             "points": spread_points(attenuating, 24),
             "seed": 0,
             "progress": lambda share, what: None,

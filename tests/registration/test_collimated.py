@@ -13,15 +13,13 @@ from regtorch.formats import read_radiograph
 from regtorch.geometry import Detector
 from regtorch.imaging import attenuation
 from regtorch.plotting import write_overlay
-from regtorch.registration import register
-from regtorch.registration.hybrid import Stage, hybrid
+from regtorch.registration import Settings, Stage, hybrid, register
 from regtorch.simulation import simulate
 
 _DETECTOR = Detector(200, 160, 1.75)
 _FIELD = (24, 180, 20, 152)
-_SMALL = partial(
-    hybrid, poses=100, first=Stage(40, 12, 12), stages=(Stage(80, 4, 12), Stage(120, 2, 10)), finest=Stage(160, 1, 8)
-)
+_LEVELS = (Stage(40, 12, 12), Stage(80, 4, 12), Stage(120, 2, 10))
+_SMALL = partial(hybrid, settings=Settings(poses=100, levels=_LEVELS, finest_pixels=160))
 
 
 def test_collimated_radiograph(pair, tmp_path):

@@ -4,11 +4,10 @@ import pytest
 
 from regtorch.imaging import Radiograph, attenuation
 from regtorch.registration import register
-from regtorch.registration.matcher import Matcher, Tally
 from regtorch.simulation import simulate
 
 from .conftest import DETECTOR
-from .test_hybrid import SMALL, _pde_mm
+from .test_search import SMALL, _pde_mm, matcher_of
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +29,7 @@ def test_a_body_that_goes_on_is_like_a_radiograph_of_all_of_it(pair, part):
     gains = []
     for shown in (pair.ct, part):
         problem = pair.problem(list(range(9)), radiograph=_radiograph(pair, shown))
-        matcher = Matcher.of(problem, 100, 1.3, attenuation(part, threshold_hu=None), Tally())
+        matcher = matcher_of(problem, attenuation(part, threshold_hu=None), 100)
         truth = pair.truth.parameters[None]
         gains.append(float((matcher.continued().similarity(truth) - matcher.similarity(truth))[0]))
     assert gains[0] > 0.05

@@ -1,14 +1,18 @@
 """Predicted spread against that of many noisy radiographs, and against what a shift must do."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from regtorch.drr import render
 from regtorch.imaging import Radiograph, attenuation
-from regtorch.registration.matcher import Matcher, Tally
-from regtorch.registration.uncertainty import _INFLATION, covariance, projection_covariance
+from regtorch.registration import detector_frame
+from regtorch.registration.search.matcher import Matcher
+from regtorch.registration.trust.uncertainty import INFLATION, projection_covariance
 
 from .conftest import DETECTOR
+from .test_search import matcher_of
 
 
 def _noisy(pair, seed: int, sigma: float) -> Radiograph:
@@ -21,7 +25,7 @@ def _noisy(pair, seed: int, sigma: float) -> Radiograph:
 
 def _matcher(pair, free: list[int], seed: int = 0, sigma: float = 0.05) -> Matcher:
     problem = pair.problem(free, radiograph=_noisy(pair, seed, sigma), initial=pair.truth.parameters)
-    return Matcher.of(problem, 100, 1.3, problem.attenuating, Tally())
+    return matcher_of(problem, problem.attenuating, 100)
 
 
 def test_the_spread_is_that_of_many_noisy_radiographs(pair):
@@ -30,23 +34,31 @@ def test_the_spread_is_that_of_many_noisy_radiographs(pair):
     for seed in range(24):
         matcher = _matcher(pair, free, seed)
         climbed = matcher.climb(pair.truth.parameters[None], 20, 1e-5)
-        parameters = matcher.problem.embed(climbed.x[0])
-        found.append(parameters)
-        predicted.append(covariance(matcher, parameters).diagonal().sqrt())
+        found.append(climbed.parameters[0])
+        predicted.append(matcher.covariance(climbed.parameters[0]).diagonal().sqrt())
     actual, predicted = torch.stack(found).std(0)[free], torch.stack(predicted).mean(0)[free]
-    assert float((predicted / _INFLATION / actual).log().abs().max()) < 0.7  # a factor of two
+    assert float((predicted / INFLATION / actual).log().abs().max()) < 0.7  # a factor of two
 
 
 def test_more_noise_means_less_certainty(pair):
     free = list(range(9))
     little, much = (
-        covariance(_matcher(pair, free, sigma=s), pair.truth.parameters).diagonal().sqrt() for s in (0.02, 0.08)
+        _matcher(pair, free, sigma=s).covariance(pair.truth.parameters).diagonal().sqrt() for s in (0.02, 0.08)
     )
     assert bool((much > 2 * little).all())
 
 
+def test_the_spread_is_the_same_in_other_coordinates(pair):
+    """The unknowns' covariance comes back to the nine parameters through P."""
+    matcher = _matcher(pair, list(range(9)))
+    other = replace(matcher, problem=replace(matcher.problem, coordinates=detector_frame))
+    one, same = (m.covariance(pair.truth.parameters) for m in (matcher, other))
+    scale = one.diagonal().rsqrt()
+    torch.testing.assert_close(scale[:, None] * same * scale, scale[:, None] * one * scale, atol=1e-3, rtol=1e-3)
+
+
 def test_what_is_frozen_has_no_spread(pair):
-    spread = covariance(_matcher(pair, [3, 7]), pair.truth.parameters)
+    spread = _matcher(pair, [3, 7]).covariance(pair.truth.parameters)
     rest = [0, 1, 2, 4, 5, 6, 8]
     assert not bool(spread[rest].any())
     assert not bool(spread[:, rest].any())
@@ -73,6 +85,6 @@ def test_what_the_image_does_not_show_is_not_certain(pair):
     matcher = _matcher(pair, [3, 7])
     away = pair.truth.parameters.clone()
     away[3] = 3000
-    spread = covariance(matcher, away)
+    spread = matcher.covariance(away)
     assert bool(spread.diagonal()[[3, 7]].isinf().all())
     assert not bool(spread.isnan().any())

@@ -12,14 +12,15 @@ from regtorch.evaluation import evaluate
 from regtorch.geometry import KEYS, pixel_from_patient, project
 from regtorch.imaging import Radiograph
 from regtorch.optimization import cma_es, pycma
-from regtorch.registration import register
-from regtorch.registration.evolution import evolution
-from regtorch.registration.initial import SEARCH
-from regtorch.registration.problem import Found
+from regtorch.registration import cmaes, register
+from regtorch.registration.found import Found
+from regtorch.registration.start import SEARCH
+from regtorch.registration.trust.evidence import measure
 
 from .conftest import DETECTOR, HALF_RANGE
+from .test_search import matcher_of
 
-SMALL = partial(evolution, starts=8, generations=20, pixels=(24, 40), survivors=2, finalists=1, final_generations=30)
+SMALL = partial(cmaes, starts=8, generations=20, pixels=(24, 40), survivors=2, finalists=1, final_generations=30)
 
 
 class Told:
@@ -27,8 +28,11 @@ class Told:
 
     def __call__(self, problem):
         self.problem = problem
-        starts = problem.initial.repeat(3, 1)
-        return Found(problem.initial, 0.5, starts, torch.tensor([0.5, 0.5, 0.5]).double(), 3)
+        initial = problem.searched.initial
+        starts, similarity = initial.repeat(3, 1), torch.tensor([0.5, 0.5, 0.5]).double()
+        return Found(
+            initial, 0.5, starts, similarity, 3, measure(problem, initial, 0.5, starts, similarity, comparable=True)
+        )
 
 
 def test_finds_where_a_matched_radiograph_was_taken(pair):
@@ -55,7 +59,7 @@ def test_finds_where_a_matched_radiograph_was_taken(pair):
 
 
 def test_the_same_seed_gives_the_same_result_and_another_seed_another(pair):
-    quick = partial(evolution, starts=3, generations=2, pixels=(16, 20), final_generations=2)
+    quick = partial(cmaes, starts=3, generations=2, pixels=(16, 20), final_generations=2)
     one, same, other = (register(pair.ct, pair.radiograph, "PA", method=quick, seed=seed) for seed in (4, 4, 5))
     assert torch.equal(one.parameters, same.parameters)
     assert one.similarity == same.similarity
@@ -65,7 +69,7 @@ def test_the_same_seed_gives_the_same_result_and_another_seed_another(pair):
 
 @pytest.mark.parametrize(("free", "moving"), [(9, 9), (7, 7), (6, 6), (["phi", "x_obj"], 2)])
 def test_only_what_is_free_moves(pair, free, moving):
-    quick = partial(evolution, starts=3, generations=2, pixels=(16, 20), final_generations=2)
+    quick = partial(cmaes, starts=3, generations=2, pixels=(16, 20), final_generations=2)
     found = register(pair.ct, pair.radiograph, "PA", method=quick, free=free)
     assert int((found.parameters != pair.initial).sum()) == moving
     if free == 6:
@@ -73,14 +77,14 @@ def test_only_what_is_free_moves(pair, free, moving):
 
 
 def test_converges_as_pycma_does_on_a_registration(pair):
-    level = pair.problem([]).level(24, 1.3)
     free = [3, 4, 5, 6, 7, 8]
     problem = pair.problem(free, initial=pair.truth.parameters)
-    goal = float(level.similarities(pair.truth.parameters[None])) - 3e-3
+    unknowns, level = problem.unknowns, matcher_of(problem, problem.attenuating, 24)
+    goal = float(level.similarity(pair.truth.parameters[None])) - 3e-3
     starts, population = 8, 9
-    spread = problem.upper - problem.lower
+    spread = unknowns.upper - unknowns.lower
     random = torch.rand(starts, len(free), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    begin = problem.lower + (0.2 + 0.6 * random) * spread
+    begin = unknowns.lower + (0.2 + 0.6 * random) * spread
     generations = {}
     for optimizer in (cma_es, pycma):
         reached = torch.full((starts,), math.inf)
@@ -89,11 +93,11 @@ def test_converges_as_pycma_does_on_a_registration(pair):
             reached[(-cost >= goal) & reached.isinf()] = generation
 
         optimizer(
-            lambda values: -level.similarities(problem.embed(values)),
+            lambda values: -level.similarity(problem.parameters(values)),
             begin,
             0.1 * spread,
-            lower=problem.lower,
-            upper=problem.upper,
+            lower=unknowns.lower,
+            upper=unknowns.upper,
             population=population,
             max_generations=45,
             tol_fun=1e-4,
@@ -134,10 +138,10 @@ def test_a_start_and_a_range_that_are_given_are_used(pair):
     method, initial = Told(), pair.truth.parameters
     found = register(pair.ct, pair.radiograph, "PA", method=method, initial=initial)
     assert torch.equal(found.initial, initial)
-    torch.testing.assert_close(method.problem.half_range, torch.tensor(SEARCH, dtype=torch.float64))
+    torch.testing.assert_close(method.problem.searched.half_range, torch.tensor(SEARCH, dtype=torch.float64))
     half = torch.arange(1.0, 10.0)
     register(pair.ct, pair.radiograph, "PA", method=method, half_range=half, seed=3)
-    torch.testing.assert_close(method.problem.half_range, half.double())
+    torch.testing.assert_close(method.problem.searched.half_range, half.double())
     assert method.problem.seed == 3
 
 
@@ -184,7 +188,7 @@ def test_the_result_as_a_dictionary_keeps_the_contract(pair):
 
 
 def test_a_search_that_reaches_behind_the_source_still_ends_with_a_verdict(pair):
-    quick = partial(evolution, starts=8, generations=10, pixels=(20, 30), final_generations=5)
+    quick = partial(cmaes, starts=8, generations=10, pixels=(20, 30), final_generations=5)
     found = register(pair.ct, pair.radiograph, "PA", method=quick, sdd_mm=500.0)
     assert bool(found.parameters.isfinite().all())
 
@@ -200,7 +204,7 @@ def test_a_range_of_zero_freezes(pair):
     method, half = Told(), torch.tensor(SEARCH)
     half[[2, 7]] = 0
     register(pair.ct, pair.radiograph, "PA", method=method, half_range=half, free=7)
-    assert method.problem.free == [3, 4, 5, 6, 8]
+    assert method.problem.searched.free == [3, 4, 5, 6, 8]
 
 
 def test_expected_errors_are_of_named_points(pair):

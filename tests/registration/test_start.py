@@ -8,7 +8,7 @@ from regtorch.geometry import Detector, pixel_from_patient, project, world_from_
 from regtorch.imaging import Volume
 from regtorch.imaging.attenuation import BODY_HU, corners_ct
 from regtorch.registration import initial_parameters
-from regtorch.registration.initial import SDD_MM, SEARCH, check_in_front
+from regtorch.registration.start import SDD_MM, SEARCH, check_in_front
 
 DETECTOR = Detector(60, 90, 4.0)
 VIEWS = ("PA", "AP", "LLAT", "RLAT")

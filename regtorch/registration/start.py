@@ -7,7 +7,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.geometry import Detector, pixel_from_patient, project, world_from_ct, world_from_patient_axes
+from regtorch.geometry import (
+    X_OBJ,
+    Y_OBJ,
+    Z_OBJ,
+    Z_S,
+    Detector,
+    pixel_from_patient,
+    project,
+    world_from_ct,
+    world_from_patient_axes,
+)
 from regtorch.imaging import Volume
 from regtorch.imaging.attenuation import BODY_HU, corners_ct
 
@@ -40,8 +50,8 @@ def initial_parameters(
         raise RegtorchError(f"SDD of {sdd_mm:g} mm: expected a positive distance")
     axes = world_from_patient_axes(view)
     parameters = torch.zeros(9, dtype=torch.float64)
-    parameters[2] = sdd_mm
-    parameters[5] = -float((corners_ct(ct, BODY_HU) @ axes.mT)[:, 2].min())
+    parameters[Z_S] = sdd_mm
+    parameters[Z_OBJ] = -float((corners_ct(ct, BODY_HU) @ axes.mT)[:, 2].min())
     check_in_front(ct, parameters, view)
     if (landmark_patient_mm is None) != (landmark_image is None):
         raise RegtorchError("a landmark in only one of CT and radiograph: expected it in both or in neither")
@@ -50,18 +60,18 @@ def initial_parameters(
         point = torch.tensor([landmark_patient_mm], dtype=torch.float64)
         wanted = torch.tensor(landmark_image, dtype=torch.float64)
         matrix = pixel_from_patient(parameters, detector, view, ct.origin_patient_mm)
-        depth = sdd_mm - float(parameters[5] + axes[2] @ (point[0] - ct.origin_patient_mm))
+        depth = sdd_mm - float(parameters[Z_OBJ] + axes[2] @ (point[0] - ct.origin_patient_mm))
         miss = (wanted - project(matrix, point)[0]) * detector.pixel_mm * depth / sdd_mm
-        parameters[3:5] = miss * torch.tensor([1.0, -1.0])
+        parameters[[X_OBJ, Y_OBJ]] = miss * torch.tensor([1.0, -1.0])
     return parameters
 
 
 def check_in_front(ct: Volume, parameters: Float[Tensor, "9"], view: str) -> None:
     """Raises ``RegtorchError`` unless the whole patient is on the detector's side of the source."""
-    height = (corners_ct(ct, BODY_HU) @ world_from_ct(parameters, view)[:3, :3].mT)[:, 2] + parameters[5]
-    if not float(height.max()) < float(parameters[2]):
+    height = (corners_ct(ct, BODY_HU) @ world_from_ct(parameters, view)[:3, :3].mT)[:, 2] + parameters[Z_OBJ]
+    if not float(height.max()) < float(parameters[Z_S]):
         raise RegtorchError(
-            f"SDD of {float(parameters[2]):g} mm: in this {view} view {ct.name} reaches {float(height.max()):g} mm "
+            f"SDD of {float(parameters[Z_S]):g} mm: in this {view} view {ct.name} reaches {float(height.max()):g} mm "
             "from the detector, expected the source beyond it"
         )
 

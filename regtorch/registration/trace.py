@@ -1,0 +1,37 @@
+"""What a search did, step by step, and at what cost."""
+
+import time
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: ``pixels`` of the level, ``candidates`` that took part, the best ``similarity`` at its end.
+
+    ``evaluations`` is how many poses it looked at, ``seconds`` how long it took.
+    """
+
+    name: str
+    pixels: int
+    candidates: int
+    similarity: float
+    evaluations: int
+    seconds: float
+
+
+@dataclass
+class Trace:
+    """Counts poses that were looked at, and keeps the steps."""
+
+    evaluations: int = 0
+    steps: list[Step] = field(default_factory=list)
+    _since: float = field(default_factory=time.perf_counter, repr=False)
+    _before: int = 0
+
+    def add(self, name: str, pixels: int, candidates: int, similarity: float) -> None:
+        """End a step: what was looked at since the last one is its cost."""
+        now = time.perf_counter()
+        self.steps.append(
+            Step(name, pixels, candidates, similarity, self.evaluations - self._before, now - self._since)
+        )
+        self._since, self._before = now, self.evaluations
