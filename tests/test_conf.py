@@ -1,12 +1,16 @@
 """Every component's YAML lists every option of its target, with the target's own default, and instantiates."""
 
 import inspect
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import get_method, instantiate
 from omegaconf import OmegaConf
+
+from experiments.settings import PATH, settings_yaml
+from regtorch.registration import Settings
 
 _CONF = Path(__file__).parent.parent / "conf"
 _COMPONENTS = sorted(p for p in _CONF.glob("*/*.yaml") if "_target_" in OmegaConf.load(p))
@@ -33,7 +37,7 @@ def test_component_lists_all_options_with_their_defaults(path: Path) -> None:
         if callable(default):
             assert getattr(value, "func", value) is default
         else:
-            assert (tuple(value) if isinstance(value, list) else value) == default
+            assert _plain(value) == _plain(default)
 
 
 @pytest.mark.parametrize("name", sorted(p.stem for p in (_CONF / "registration").glob("*.yaml")))
@@ -43,6 +47,21 @@ def test_every_method_can_be_chosen_for_a_study(name: str) -> None:
     made = instantiate(config.registration, _convert_="all")
     options = inspect.signature(made.func).parameters
     assert set(made.keywords) <= set(options)
+
+
+def _plain(value):
+    """Sequences as lists, settings as dictionaries: Hydra makes lists of all sequences."""
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def test_the_default_searchs_yaml_is_made_of_its_settings() -> None:
+    assert PATH.read_text(encoding="utf-8") == settings_yaml()
+    for field in fields(Settings):
+        sentence = settings_yaml().split(f"  {field.name}:")[0].splitlines()[-1]
+        assert sentence.startswith("  # ")
+        assert sentence.endswith(".")
 
 
 def test_there_are_components() -> None:

@@ -10,9 +10,9 @@ import torch
 from regtorch.cli import main
 from regtorch.formats import write_volume
 from regtorch.phantom import make_phantom
-from regtorch.registration import evolution as evolution_module
-from regtorch.registration import hybrid as hybrid_module
-from regtorch.registration.problem import Found
+from regtorch.registration import cmaes
+from regtorch.registration.found import Found
+from regtorch.registration.trust.evidence import measure
 
 from .bad_files import bad_radiographs, bad_texts, bad_volumes
 from .commands import SIZE, result_of
@@ -29,18 +29,18 @@ class Method:
         problem.progress(0.1, "searching")
         if self.search is not None:
             return self.search(problem, **options)
-        starts = problem.initial.repeat(3, 1)
-        return Found(problem.initial, self.similarity, starts, torch.full((3,), self.similarity).double(), 3)
+        initial, similarity = problem.searched.initial, torch.full((3,), self.similarity).double()
+        starts = initial.repeat(3, 1)
+        evidence = measure(problem, initial, self.similarity, starts, similarity, comparable=True)
+        return Found(initial, self.similarity, starts, similarity, 3, evidence)
 
 
 @pytest.fixture
 def method(monkeypatch) -> Method:
     stub = Method()
-    stub.tiny = partial(
-        evolution_module.evolution, starts=3, generations=2, pixels=(16, 24), survivors=1, final_generations=2
-    )
-    monkeypatch.setattr(evolution_module, "evolution", stub)
-    monkeypatch.setattr(hybrid_module, "hybrid", stub)
+    stub.tiny = partial(cmaes, starts=3, generations=2, pixels=(16, 24), survivors=1, final_generations=2)
+    for name in ("cmaes", "hybrid"):
+        monkeypatch.setattr(f"regtorch.registration.{name}", stub)
     return stub
 
 

@@ -8,7 +8,8 @@ import torch
 from PIL import Image
 
 from regtorch import optimization
-from regtorch.registration.problem import Found
+from regtorch.registration.found import Found
+from regtorch.registration.trust.evidence import measure
 
 from .commands import PARAMETERS, REGISTER, SHARED, run
 
@@ -52,7 +53,8 @@ def test_the_same_seed_gives_the_same_result_but_for_the_seconds(inputs, tmp_pat
     for name in "ab":
         run(REGISTER.format(i=inputs, o=tmp_path / name) + " --seed 3")
         results.append(json.loads((tmp_path / name / "new" / "deep" / "result.json").read_text()))
-        del results[-1]["seconds"]
+        for told in (results[-1], *results[-1]["trace"]):
+            del told["seconds"]
     assert results[0] == results[1]
     assert results[0]["seed"] == 3
 
@@ -68,19 +70,21 @@ def test_six_dof_keep_the_source_at_its_start(inputs, tmp_path, method):
 def test_a_range_is_searched_and_zero_freezes(inputs, tmp_path, method):
     run(REGISTER.format(i=inputs, o=tmp_path) + " --source-range-mm 0 0 40 --rotation-range-deg 3")
     problem = method.problems[-1]
-    assert problem.free == [2, 3, 4, 5, 6, 7, 8]
-    assert problem.half_range[:6].tolist() == [0, 0, 40, 150, 150, 150]
-    assert torch.rad2deg(problem.half_range[6:]).tolist() == pytest.approx([3, 3, 3])
+    assert problem.searched.free == [2, 3, 4, 5, 6, 7, 8]
+    assert problem.searched.half_range[:6].tolist() == [0, 0, 40, 150, 150, 150]
+    assert torch.rad2deg(problem.searched.half_range[6:]).tolist() == pytest.approx([3, 3, 3])
     run(REGISTER.format(i=inputs, o=tmp_path) + " --rotation-range-deg 0,3,0.5")
-    assert torch.rad2deg(method.problems[-1].half_range[6:]).tolist() == pytest.approx([0, 3, 0.5])
-    assert method.problems[-1].free == [0, 1, 2, 3, 4, 5, 7, 8]
+    assert torch.rad2deg(method.problems[-1].searched.half_range[6:]).tolist() == pytest.approx([0, 3, 0.5])
+    assert method.problems[-1].searched.free == [0, 1, 2, 3, 4, 5, 7, 8]
 
 
 def test_what_a_search_knows_of_its_errors_is_printed_and_written(inputs, tmp_path, method, capsys):
     def found(problem):
         spread = torch.diag(torch.tensor([0, 0, 50.0**2, 1, 1, 1, 0, 0, 0], dtype=torch.float64))
-        starts = problem.initial.repeat(3, 1)
-        return Found(problem.initial, 0.5, starts, torch.full((3,), 0.5).double(), 3, spread)
+        initial, similarity = problem.searched.initial, torch.full((3,), 0.5).double()
+        starts = initial.repeat(3, 1)
+        evidence = measure(problem, initial, 0.5, starts, similarity, comparable=True, covariance=spread)
+        return Found(initial, 0.5, starts, similarity, 3, evidence, spread)
 
     method.search = found
     (tmp_path / "targets.csv").write_text("name,x,y,z\nT8,0,0,0\n")
@@ -90,7 +94,7 @@ def test_what_a_search_knows_of_its_errors_is_printed_and_written(inputs, tmp_pa
     assert list(told["expected_target_errors_mm"]) == ["T8"]
     assert told["expected_pde_mm"] > 1
     printed = capsys.readouterr().out
-    assert "warning: SDD and ODD can hardly be told apart: SDD +- 50 mm" in printed
+    assert "warning: SDD and ODD can hardly be told apart: SDD +- 5.0%" in printed
     assert "+- 50.000" in printed
 
 
@@ -148,8 +152,8 @@ def test_the_settings_reach_the_registration(inputs, tmp_path, method):
     told = " --threshold-hu 400 --sdd-mm 1300 --dof 7 --seed 5 --pixel-mm 3"
     assert run(REGISTER.format(i=inputs, o=tmp_path) + told) == 0
     problem = method.problems[0]
-    assert float(problem.initial[2]) == 1300
-    assert problem.free == [2, 3, 4, 5, 6, 7, 8]
+    assert float(problem.searched.initial[2]) == 1300
+    assert problem.searched.free == [2, 3, 4, 5, 6, 7, 8]
     assert problem.seed == 5
     assert problem.radiograph.detector.pixel_mm == 3
     assert float(problem.attenuating.data[problem.attenuating.data > 0].min()) >= 0.02 * 1.4 - 1e-6

@@ -67,7 +67,7 @@ class Search:
         self.trace.add(name, pixels, candidates, similarity)
 
 
-def hybrid(problem: Problem, settings: Settings = _DEFAULT) -> Found:
+def hybrid(problem: Problem, *, settings: Settings = _DEFAULT) -> Found:
     """Register by screening and Levenberg-Marquardt; ``settings`` explains every number.
 
     Raises ``RegtorchError`` for another similarity than gradient correlation, and for settings that search nothing.

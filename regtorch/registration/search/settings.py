@@ -1,5 +1,6 @@
 """Every number of the default search; ``conf/registration/hybrid.yaml`` is made of this file."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from regtorch.errors import RegtorchError
@@ -19,7 +20,7 @@ class Settings:
     """Lengths in the image are in mm of the detector plane or in pixels of the level; similarities are -1 to 1."""
 
     # Levels
-    levels: tuple[Stage, ...] = (Stage(50, 40, 12), Stage(125, 12, 12), Stage(250, 3, 10))
+    levels: Sequence[Stage] = (Stage(50, 40, 12), Stage(125, 12, 12), Stage(250, 3, 10))
     """Levels from the widest on, two at least: pixels, candidates, steps."""
     finest_pixels: int = 500
     """Pixels of the longer side on the finest level, where the best candidate alone goes on."""
@@ -95,11 +96,11 @@ class Settings:
     """Residual energy, as a share of the mean, at which a pixel's robust weight is one half."""
     flattest: int = 2
     """Flattest directions along which the second level's climb begins anew."""
-    losses: tuple[float, ...] = (0.01, 0.04)
+    losses: Sequence[float] = (0.01, 0.04)
     """Losses of similarity at which these climbs begin, to both sides."""
     widest_edge_px: float = 1.0
     """Width of a sharp edge on levels before the finest, pixels."""
-    edges_px: tuple[float, ...] = (1.0, 0.3)
+    edges_px: Sequence[float] = (1.0, 0.3)
     """Widths of sharp edges on the finest level, in turn, pixels."""
     narrower: float = 0.8
     """Largest width of a sharp edge, as a share of a voxel."""

@@ -30,9 +30,9 @@ def clustered_covariance(
 
     ``image`` is the DRR at the answer and ``slopes`` its derivatives by the unknowns. The search climbs the sum of
     rho = M F over both directions' normalised gradient images. Its H is sum rho J^T J, and s is J^T (rho M - F) of a
-    patch, a sixteenth of the image's longer side wide. Residuals within a patch may depend on each other. Errors that the whole image shares, an
-    organ's pull or a wrong voxel size, stay unseen: hence ``INFLATION``. The diagonal is infinite where nothing depends
-    on an unknown or the images do not match.
+    patch, a sixteenth of the image's longer side wide. Residuals within a patch may depend on each other. Errors that
+    the whole image shares, an organ's pull or a wrong voxel size, stay unseen: hence ``INFLATION``. The diagonal is
+    infinite where nothing depends on an unknown or the images do not match.
     """
     root = fixed.root
     tiny = torch.finfo(root.dtype).tiny
