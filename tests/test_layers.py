@@ -38,7 +38,6 @@ BELOW = {
     },
 }
 BELOW["plotting"] = set(BELOW) - {"files"}
-BELOW["report"] = {"errors"}  # of tables and pictures alone
 BELOW["arguments"] = {"errors", "limits"}  # of the command line
 BELOW["output"] = {"files"}
 BELOW["cli"] = set(BELOW)

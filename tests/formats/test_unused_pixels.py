@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from regtorch.formats import read_radiograph
-
 from tests.imaging.test_field import collimated, torso
 
 File = Callable[..., Path]
