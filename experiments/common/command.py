@@ -29,7 +29,7 @@ def told_in_one_line(command: str) -> Iterator[None]:
         message = f"{error.full_key}: {str(error).splitlines()[0]}"
     else:
         return
-    print(f"{command}: error: {message}", file=sys.stderr)
+    print(f"{command}: error: {' '.join(message.split())}", file=sys.stderr)
     raise SystemExit(BAD_INPUT)
 
 
@@ -76,9 +76,12 @@ def help_of_settings(doc: str, name: str) -> None:
     """
     if not {"-h", "--help"} & set(sys.argv[1:]):
         return
-    groups = _groups(_CONF / f"{name}.yaml")
-    chosen = {group: _CONF / group / f"{choice}.yaml" for group, choice in groups.items()}
-    files = [_CONF / f"{name}.yaml", *(path for path in chosen.values() if path.read_text().startswith(_OF_ALL))]
+    groups = _defaults(_CONF / f"{name}.yaml")
+    chosen = [_CONF / group / f"{choice}.yaml" for group, choice in groups.items()]
+    of_all = [path for path in chosen if path.read_text(encoding="utf-8").startswith(_OF_ALL)]
+    for path in of_all:
+        groups |= _defaults(path, "override /")
+    files = [_CONF / f"{name}.yaml", *of_all]
     parts = [doc.strip()]
     for path in files:
         parts.append(f"Settings, given as NAME=VALUE ({path.relative_to(_CONF.parent)}):\n\n{_settings(path)}")
@@ -102,10 +105,12 @@ def _settings(path: Path) -> str:
     return "\n".join(kept).strip("\n")
 
 
-def _groups(path: Path) -> dict[str, str]:
+def _defaults(path: Path, prefix: str = "") -> dict[str, str]:
+    """The choice of each group in a file's defaults list, of the entries that begin with ``prefix``."""
     defaults = yaml.safe_load(path.read_text(encoding="utf-8"))["defaults"]
-    named = [entry for entry in defaults if isinstance(entry, dict)]
-    return {group: choice for entry in named for group, choice in entry.items() if "override" not in group}
+    named = [(key, choice) for entry in defaults if isinstance(entry, dict) for key, choice in entry.items()]
+    groups = {key.removeprefix(prefix): choice for key, choice in named if key.startswith(prefix)}
+    return {group: choice for group, choice in groups.items() if " " not in group}
 
 
 def _choices(group: str, default: str) -> list[str]:

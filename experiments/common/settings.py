@@ -26,14 +26,14 @@ def refuse_to_mix(config: DictConfig, folder: Path, unshared: Iterable[str], par
     if not kept.exists():
         return own
     before = OmegaConf.to_container(OmegaConf.load(kept))
-    changed = [key for key in own | before if key not in parts and _other(own, before, key)]
+    changed = _changed({**own, **dict.fromkeys(parts)}, {**before, **dict.fromkeys(parts)})
     if changed:  # perhaps in spelling alone, as ``arm: ${dof}-DOF`` and ``arm: 9-DOF``
         now, then = (OmegaConf.to_container(each, resolve=True) for each in (config, OmegaConf.load(kept)))
-        changed = [key for key in changed if _other(now, then, key)]
+        changed = [key for key in changed if key in _changed(now, then)]
     for key in parts:
-        old = before.get(key, {})
-        changed += [f"{key}.{name}" for name in old if name in own[key] and _other(own[key], old, name)]
-        own[key] = old | own[key]
+        whole = before.get(key, {}) | own[key]
+        changed += [f"{key}.{name}" for name in _changed(whole, own[key] | before.get(key, {}))]
+        own[key] = whole
     if changed:
         raise RegtorchError(f"{folder}: made with another {changed[0]!r}, expected that of {kept} or another out=")
     return own
@@ -65,8 +65,10 @@ def read_settings(folder: Path) -> dict[str, dict[str, str]]:
     return {"" if path.parent == folder else path.parent.name: dict(_flat(_load(path))) for path in paths}
 
 
-def _other(own: dict[str, Any], before: dict[str, Any], key: str) -> bool:
-    return _without_modules(own.get(key, ...)) != _without_modules(before.get(key, ...))
+def _changed(now: dict[str, Any], before: dict[str, Any]) -> list[str]:
+    """The settings that differ, or that one of the two lacks."""
+    pairs = {key: (_without_modules(now.get(key, ...)), _without_modules(before.get(key, ...))) for key in now | before}
+    return [key for key, (own, old) in pairs.items() if own != old]
 
 
 def _without_modules(value: Any, key: str = "") -> Any:

@@ -1,5 +1,6 @@
 """Registrations of the search study: one row for each CT, view, kind of radiograph and seed."""
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +45,10 @@ def cases_of(config: DictConfig) -> list[Case]:
     Raises ``RegtorchError`` for a kind, decoy or shard that does not exist, and for a name given twice.
     """
     for chosen, known in (("kinds", "radiographs"), ("decoys", "images")):
-        if unknown := [name for name in config[chosen] if name not in config[known]]:
+        if unknown := sorted({*config[chosen]} - {*config[known]}):
             raise RegtorchError(f"{chosen}=[{unknown[0]}]: expected of {', '.join(config[known])}")
     kinds = [*config.kinds, *(DECOY + name for name in config.decoys)]
-    of_seed = [(Path(ct).name, view, kind) for ct in config.cts for view in config.views for kind in kinds]
+    of_seed = list(product([Path(ct).name for ct in config.cts], config.views, kinds))
     if len(set(of_seed)) < len(of_seed):
         raise RegtorchError("CTs, views or kinds of the same name: expected each once")
     seeds = range(config.first_seed, config.first_seed + config.seeds)

@@ -11,13 +11,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from omegaconf import OmegaConf
 
-import regtorch
-from experiments.common.columns import code_version
 from experiments.common.report import report
 from experiments.common.settings import keep, refuse_to_mix
-from experiments.common.table import append, done, locked, whole_lines
+from experiments.common.table import locked
 from experiments.simulation import study
 from experiments.simulation.checks import UNSHARED
 from experiments.simulation.merge import KEY, merge
@@ -54,17 +51,6 @@ def test_a_row_tells_all(settings, tmp_path):
     assert [path.name for path in tmp_path.glob("*.png")] == ["background_PA.png"]
 
 
-def test_rows_of_changed_code_are_of_another_version(tmp_path):
-    versions = []
-    for text in ("one = 1", "one = 2", "one = 2"):
-        package = tmp_path / str(len(versions))
-        (package / "inner").mkdir(parents=True)
-        (package / "inner" / "code.py").write_text(text)
-        versions.append(code_version(package))
-    assert versions[1] == versions[2] != versions[0]
-    assert all(version.startswith(f"{regtorch.__version__}+") for version in versions)
-
-
 def test_nine_degrees_of_freedom_find_the_place(undisturbed):
     """On few pixels of several millimetres, with few poses."""
     pde = [float(row[study.COLUMNS.index("pde_mm")]) for row in undisturbed]
@@ -90,32 +76,6 @@ def test_kills_at_any_moment_leave_the_table_of_an_undisturbed_run(command, undi
     assert rows(tmp_path) == undisturbed
 
 
-def test_a_row_cut_short_is_written_anew(tmp_path):
-    table = tmp_path / "registrations.csv"
-    row = {"arm": "a", "view": "PA", "seed": 0, "message": 'one, "two"', "last": 1}
-    for seed in (0, 1):
-        append(table, row | {"seed": seed})
-    whole = table.read_bytes()
-    for size in range(len(whole)):
-        table.write_bytes(whole[:size])
-        made = done(tmp_path, KEY)
-        assert whole_lines(table).encode() == whole[: whole.rfind(b"\n", 0, size) + 1]
-        for seed in (0, 1):
-            if ("a", "PA", str(seed)) not in made:
-                append(table, row | {"seed": seed})
-        assert table.read_bytes() == whole
-
-
-def test_a_row_of_other_columns_is_refused(tmp_path):
-    table = tmp_path / "registrations.csv"
-    append(table, {"seed": 0, "view": "PA"})
-    before = table.read_bytes()
-    for row in ({"view": "PA", "seed": 1}, {"seed": 1}, {"seed": 1, "view": "PA", "more": 2}):
-        with pytest.raises(RegtorchError, match=r"registrations\.csv: column .* expected"):
-            append(table, row)
-    assert table.read_bytes() == before
-
-
 def test_changed_settings_refuse_to_mix(settings, tmp_path):
     first = f"out={tmp_path}", "views=[PA]", "seeds=1"
     study.run(settings(*first))
@@ -134,12 +94,6 @@ def test_settings_are_the_same_however_they_were_given(settings, tmp_path):
     refuse_to_mix(settings("dof=6", "arm=6-DOF"), tmp_path, UNSHARED)
     with pytest.raises(RegtorchError, match="another 'arm'"):
         refuse_to_mix(settings("dof=6", "arm=other"), tmp_path, UNSHARED)
-
-
-def test_a_setting_that_a_folder_has_not_is_another_than_none(tmp_path):
-    (tmp_path / "settings.yaml").write_text("seeds: 1\n")
-    with pytest.raises(RegtorchError, match="another 'threshold_hu'"):
-        refuse_to_mix(OmegaConf.create({"seeds": 1, "threshold_hu": None}), tmp_path, ())
 
 
 def test_settings_that_another_process_wrote_first_are_not_mixed_with(settings, tmp_path, monkeypatch):
