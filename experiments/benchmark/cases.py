@@ -1,4 +1,4 @@
-"""The cases of the benchmark on a CPU: each times what it compares in turns and returns rows of the table."""
+"""The cases of the benchmark on a CPU: each times implementations in turns and returns rows of the table."""
 
 import subprocess
 import sys
@@ -23,7 +23,7 @@ Row = dict[str, Any]
 
 @dataclass
 class Bench:
-    """What all cases share. ``peers`` as in ``conf/benchmark.yaml``, instantiated."""
+    """The state of all cases; ``peers`` are those of ``conf/benchmark.yaml``, instantiated."""
 
     config: DictConfig
     scenes: Scenes
@@ -95,12 +95,12 @@ class Bench:
 
 
 def relative(found: Tensor, expected: Tensor) -> float:
-    """Difference over what is expected, by norm."""
+    """Difference over the expected value, by norm."""
     return float((found.double() - expected.double()).norm() / expected.double().norm())
 
 
 def limits(bench: Bench) -> list[Row]:
-    """What ``share_of_limit`` is a share of."""
+    """The limits to which ``share_of_limit`` refers."""
     name, threads = "reads of 16 bytes from second-level cache", bench.config.threads
     return [
         {"implementation": name, "device": device_name(), "threads": n, "per_second": bench.limit(n)}

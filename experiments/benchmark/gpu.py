@@ -1,4 +1,4 @@
-"""The cases of the benchmark that need a GPU; where there is none they say that nothing was measured."""
+"""The cases of the benchmark that need a GPU; without one their rows say 'not measured'."""
 
 import statistics
 import time

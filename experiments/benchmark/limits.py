@@ -1,4 +1,4 @@
-"""What the machine could do at most, and how much of that a projector asks for."""
+"""Limits of the machine, and the share of them that a projector needs."""
 
 import platform
 import time

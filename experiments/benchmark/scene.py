@@ -1,4 +1,4 @@
-"""What all implementations render: volumes of one CT, poses around where a registration starts, a square detector."""
+"""The scene that all implementations render: volumes of one CT, poses about a start, a square detector."""
 
 import math
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Fair clocks: everything that is compared takes turns, is warmed up, and is given enough to do to be timed."""
+"""Fair clocks: compared implementations take turns, are warmed up, and run long enough to be timed."""
 
 import statistics
 import time

@@ -1,21 +1,20 @@
-"""How errors of the source move the patient: what a search makes up for that takes the source for known."""
+"""Errors of the patient that make up for errors of the source, in a search that takes the source for known."""
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
+from experiments.common.registrations import FAILED_MM
 from experiments.common.style import legend_above, palette
-
-_FOUND_MM = 5.0
 
 
 def slopes(rows: pd.DataFrame, axis: str) -> tuple[float, float]:
     """ODD:SDD where the search began (median), and the slope of the patient's error along ``axis`` by the source's.
 
-    A least-squares line through the registrations of PDE under 5 mm.
+    The slope is that of a least-squares line through the registrations with a PDE under 5 mm.
     """
-    some = rows[rows.pde_mm < _FOUND_MM]
+    some = rows[rows.pde_mm < FAILED_MM]
     expected = (rows.initial_z_obj_mm / rows.initial_z_s_mm).median()
     if len(some) < 2:
         return expected, np.nan
@@ -23,7 +22,7 @@ def slopes(rows: pd.DataFrame, axis: str) -> tuple[float, float]:
 
 
 def coupling_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
-    """Errors of x_obj, y_obj, z_obj against those of x_s, y_s, z_s; dashed: ODD:SDD, which 6-DOF is to follow."""
+    """Errors of x_obj, y_obj, z_obj against those of x_s, y_s, z_s; dashed: ODD:SDD, the slope expected of 6-DOF."""
     views, freedoms = sorted(rows["view"].unique()), sorted(rows.dof.unique())
     figure, panels = plt.subplots(
         len(views), 3, figsize=(9, 0.6 + 2.6 * len(views)), sharex="col", sharey="col", squeeze=False,

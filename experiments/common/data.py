@@ -1,4 +1,4 @@
-"""What a study registers to: the embedded phantom or any CT, and the targets that accuracy is asked of."""
+"""The CT of a study, the embedded phantom or any file, with the targets at which accuracy is measured."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +16,7 @@ Targets = dict[str, tuple[float, float, float]]
 
 @lru_cache(maxsize=1)
 def read(component: str) -> tuple[Volume, Targets]:
-    """CT and targets of a component's YAML, once in a process, which may have several jobs."""
+    """CT and targets of a component's YAML, read once for all jobs of a process."""
     return instantiate(OmegaConf.create(component))()
 
 

@@ -1,4 +1,4 @@
-"""Markdown that the studies' table.md are made of."""
+"""Markdown tables of the studies' table.md."""
 
 from collections.abc import Sequence
 
@@ -14,5 +14,5 @@ def table(header: Sequence[object], lines: Sequence[Sequence[object]]) -> str:
 
 
 def share(true: pd.Series) -> str:
-    """How many of all are true, in per cent."""
+    """The share of true values in per cent, and the number of values."""
     return f"{100 * true.mean():.1f} % of {len(true)}" if len(true) else "none"

@@ -1,4 +1,4 @@
-"""What a sample tells of its study: intervals of medians and shares, and tests of arms on the same cases."""
+"""Intervals of medians and shares, and tests of arms on the same cases."""
 
 import numpy as np
 import pandas as pd

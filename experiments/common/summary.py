@@ -1,4 +1,4 @@
-"""Tables of any study's registrations: how each group of them did, and the worst of all."""
+"""Tables of any study's registrations: the accuracy of each group, and the worst cases."""
 
 from collections.abc import Iterable
 
@@ -16,7 +16,7 @@ Table = tuple[list[str], list[list[str]]]
 def headline(rows: pd.DataFrame, keys: list[str]) -> Table:
     """One line per group: medians of PDE (mm), seconds and evaluations; counts of large PDEs and of statuses.
 
-    Quantiles are taken over the registrations that have a PDE; decoys, which fit nowhere, have none.
+    Quantiles leave out registrations without a PDE: decoys, which fit nowhere.
     """
     header = [*keys, "n", "PDE before", "PDE", "quartiles", "95 %", "worst", f"over {_join(_OVER_MM)} mm"]
     header += ["statuses", "seconds", "evaluations"]

@@ -1,4 +1,4 @@
-"""Where source and patient truly stand in a simulation: drawn about a default geometry, again if nothing is to see."""
+"""True geometries of the simulation, drawn about a default; drawn again where too little is in the image."""
 
 from dataclasses import dataclass
 
@@ -33,9 +33,9 @@ class Geometries:
     least_targets: int
 
     def draw(self, seed: int) -> tuple[Float[Tensor, "9"], int]:
-        """The true parameters of a seed, and how many draws before them did not count.
+        """The true parameters of a seed, and the number of draws before them that did not count.
 
-        Raises ``RegtorchError`` where a hundred do not.
+        Raises ``RegtorchError`` after a hundred such draws.
         """
         generator = torch.Generator().manual_seed(seed)
         low, high = _TRUNCATED
@@ -77,7 +77,7 @@ def centred(default: Float[Tensor, "9"], point_mm: Float[Tensor, "3"], view: str
 def misplacement(
     initial: Float[Tensor, "9"], true: Float[Tensor, "9"], marker_mm: Float[Tensor, "3"], view: str
 ) -> dict[str, float]:
-    """Columns of figure 2: where a marker (mm, ``ct`` frame) is seen, and a square about it where it is first thought.
+    """Columns of figure 2: the projection of a marker (mm, ``ct`` frame), and a square about it as the start has it.
 
     ``marker_x_mm`` and ``marker_y_mm`` are its true projection (mm, ``world``). The square of 40 mm about it lies in
     the patient so that truly it is parallel to the detector. ``corner1_x_mm`` to ``corner4_y_mm`` are where the

@@ -20,7 +20,7 @@ _PANEL_INCHES, _MARGIN = 3.2, 0.03
 
 
 def starts_of(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
-    """One row for each view and seed whose marker is known: none of a CT without it.
+    """One row for each view and seed with a marker; no row for a CT without it.
 
     Raises ``RegtorchError`` where ``rows``, the table of ``folder``, have no columns of markers.
     """
@@ -33,8 +33,8 @@ def starts_of(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
 def start_figure(rows: pd.DataFrame, folder: Path) -> mpl.figure.Figure:
     """A panel for each view, in mm on the detector; L3 is drawn where it truly is in the median.
 
-    If ``folder`` has the study's settings, they tell where the detector ends, and ``background_VIEW.png``, if it has
-    that too, what it shows at the default. Raises ``RegtorchError`` where no row knows where its marker is.
+    The detector's border is drawn if ``folder`` has the study's settings, and ``background_VIEW.png`` within it if it is
+    there. Raises ``RegtorchError`` where no row has a marker.
     """
     starts = starts_of(rows, folder)
     if starts.empty:
@@ -73,7 +73,7 @@ def start_figure(rows: pd.DataFrame, folder: Path) -> mpl.figure.Figure:
 
 
 def _half_detector_mm(folder: Path) -> np.ndarray | None:
-    """Half its width and its height, all arms having the same."""
+    """Half the detector's width and height, the same for all arms."""
     for settings in read_settings(folder).values():
         if "detector.pixel_mm" in settings:
             sides = [float(settings[f"detector.{side}"]) for side in ("columns", "rows")]

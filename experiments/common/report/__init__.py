@@ -1,4 +1,4 @@
-"""What a study found, as one HTML file; drawn from its tables alone, without torch."""
+"""The results of a study as one HTML file, drawn from its tables alone; needs no torch."""
 
 from experiments.common.report.page import report
 

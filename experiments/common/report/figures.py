@@ -1,4 +1,4 @@
-"""Figures of any study's registrations: which share of them is how good, and what PDE the start had."""
+"""Figures of any study's registrations: shares by PDE, and PDE before and after."""
 
 from collections.abc import Callable
 
@@ -8,10 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments.common.registrations import groups_of
+from experiments.common.registrations import FAILED_MM, groups_of
 from experiments.common.style import PALETTE, clipped, legend_above, palette, plain_logarithmic
 
-_LOST_MM = 5.0
 _WIDTH, _HEIGHT, _LEGEND_LETTERS = 9.0, 3.6, 110
 _LINES, _MARKERS = ("-", "--", ":"), "os^"
 
@@ -24,7 +23,7 @@ def share_figure(rows: pd.DataFrame, keys: list[str]) -> Figure:
 
     figure = _by_view(rows, keys, draw)
     for axes in figure.axes:
-        axes.axvline(_LOST_MM, color="0.5", linestyle="--", linewidth=1, zorder=0)
+        axes.axvline(FAILED_MM, color="0.5", linestyle="--", linewidth=1, zorder=0)
         axes.set(xlabel="PDE (mm)", ylim=(0, 1.02))
         plain_logarithmic(axes, "x")
     figure.axes[0].set_ylabel("share of registrations")
@@ -53,9 +52,9 @@ def before_and_after_figure(rows: pd.DataFrame, keys: list[str]) -> Figure:
 def _by_view(
     rows: pd.DataFrame, keys: list[str], draw: Callable[[Axes, pd.DataFrame, int, dict[str, str]], None]
 ) -> Figure:
-    """A panel for each view, into which ``draw`` puts each group.
+    """A panel for each view, into which ``draw`` puts each group with its colour and label.
 
-    It is told which time the palette is gone through, and colour and label.
+    The number that ``draw`` gets counts how often the palette was used up before.
     """
     others = [key for key in keys if key != "view"]
     labels = [", ".join(names) for names, _ in groups_of(rows, others)]

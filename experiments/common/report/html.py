@@ -48,7 +48,7 @@ def page(title: str, parts: Sequence[str]) -> str:
 
 
 def section(title: str, parts: Sequence[str]) -> str:
-    """A heading and what is below it; nothing if nothing is."""
+    """A heading and its parts; nothing without parts."""
     return "\n".join([f"<h2>{escape(title)}</h2>", *parts]) if parts else ""
 
 
@@ -86,7 +86,7 @@ def drawn(figure: Figure) -> bytes:
 
 
 def markdown(text: str) -> list[str]:
-    """What the studies' ``table.md`` hold: tables, headings, and paragraphs, with blank lines between them."""
+    """HTML of the tables, headings and paragraphs that a study's ``table.md`` holds."""
     return [_block(block.splitlines()) for block in re.split(r"\n\s*\n", text.strip()) if block]
 
 

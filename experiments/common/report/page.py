@@ -1,4 +1,4 @@
-"""The report of a study's folder: what it is, how its registrations did, its figures, and its worst cases."""
+"""The report of a study's folder: accuracy, figures, the worst cases, settings."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ _NOTE = "PDE in the detector plane, mm. Medians, where nothing else is said; '95
 def report(folder: Path) -> str:
     """One HTML page, with all pictures in it, of any study's folder.
 
-    Raises ``RegtorchError`` where there is nothing to report, or what is there cannot be read.
+    Raises ``RegtorchError`` where there is nothing to report, and for a file that cannot be read.
     """
     if not folder.is_dir():
         raise RegtorchError(f"{folder}: no such folder, expected one of a study")
@@ -62,7 +62,7 @@ def _of_rows(folder: Path, rows: pd.DataFrame) -> list[str]:
 
 
 def _made_by(rows: pd.DataFrame) -> str:
-    """How many registrations, and what of version, device and threads the table tells."""
+    """The number of registrations, and their versions, devices and threads where the table has them."""
     told = [
         f"{name} {', '.join(map(shown, rows[name].unique()))}"
         for name in ("version", "device", "threads")
@@ -84,9 +84,9 @@ def _worst_cases(folder: Path, rows: pd.DataFrame, keys: list[str]) -> str:
 
 
 def _picture_of(folder: Path, row: pd.Series, arms: bool) -> bytes | None:
-    """The one in ``failures/`` named CT_VIEW_KIND_SEED, as far as rows have these: the arm's own, where there are arms.
+    """The picture CT_VIEW_KIND_SEED of a row, as far as the row has these columns, in ``failures/``.
 
-    The one arm of a study has it in a folder of its name, or, where that is ``folder``, there.
+    With several arms it lies in the arm's folder. With one arm it lies in that folder or in ``folder`` itself.
     """
     words = [row[key] for key in ("ct", "view", "kind") if isinstance(row.get(key), str)]
     if "ct" in row:
@@ -100,7 +100,7 @@ def _picture_of(folder: Path, row: pd.Series, arms: bool) -> bytes | None:
 
 
 def _settings(folder: Path) -> list[str]:
-    """What all arms share, and what each has of its own."""
+    """Tables of the settings: one of those that differ between arms, one of the shared."""
     arms = read_settings(folder)
     names = list(dict.fromkeys(name for settings in arms.values() for name in settings))
     values = {name: [settings.get(name, "") for settings in arms.values()] for name in names}
