@@ -12,7 +12,9 @@ from omegaconf.errors import OmegaConfBaseException
 from regtorch.arguments import BAD_INPUT, Parser
 from regtorch.errors import RegtorchError
 
-CHECKOUT = "Studies run from a checkout of the repository. The wheel holds neither conf/ nor experiments/."
+CHECKOUT = """\
+Studies run from a checkout of the repository, after pip install '.[studies]' there. The wheel holds neither conf/ nor
+experiments/."""
 
 _CONF = Path(__file__).parents[2] / "conf"
 _OF_ALL = "# @package _global_"

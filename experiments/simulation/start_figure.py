@@ -33,8 +33,8 @@ def starts_of(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
 def start_figure(rows: pd.DataFrame, folder: Path) -> mpl.figure.Figure:
     """A panel for each view, in mm on the detector; L3 is drawn where it truly is in the median.
 
-    The detector's border is drawn if ``folder`` has the study's settings, and ``background_VIEW.png`` within it if it is
-    there. Raises ``RegtorchError`` where no row has a marker.
+    The detector's border is drawn if ``folder`` has the study's settings, with ``background_VIEW.png`` if it is there.
+    Raises ``RegtorchError`` where no row has a marker.
     """
     starts = starts_of(rows, folder)
     if starts.empty:
