@@ -184,7 +184,7 @@ def normal_equations(bench: Bench, *, pixels: int, voxel_mm: float, poses: int |
 
 
 def threads(bench: Bench, *, pixels: int, voxel_mm: float, counts: Sequence[int]) -> list[Row]:
-    """Images alone by so many threads; the rate by the most is what the others are compared with."""
+    """Images alone by so many threads; the others are compared with the rate by the most threads."""
     scene = bench.scenes.scene(pixels, voxel_mm)
     runs = [bench.ours("regtorch", scene, _renders(scene), n) for n in sorted(counts)]
     return bench.rows(scene, runs, runs[-1])

@@ -54,7 +54,7 @@ def _beside_the_paper(rows: pd.DataFrame) -> str:
 
 
 def _found(rows: pd.DataFrame, views: list[str]) -> dict[str, str]:
-    """What the study found by what it is called; nothing for a view without rows."""
+    """Results of the study by their names; empty for a view without rows."""
     pde = rows.pde_mm
     low, high = pde.quantile([0.25, 0.75], interpolation="higher")
     found = {"n": f"{len(rows)}", "PDE before": distance(rows.initial_pde_mm.median()), "PDE": _median(pde)}
