@@ -18,7 +18,7 @@ _CT_HELP = "folder of one DICOM series, NIfTI, NRRD or MHA"
 _TARGETS_HELP = "named points (CSV of name,x,y,z in LPS mm; .mrk.json or .fcsv of 3D Slicer)"
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
     """Says what is wrong in one line; argparse would print the usage as well."""
 
     def __init__(self, **options: Any) -> None:
@@ -64,7 +64,7 @@ _SIDE = _number(LEAST_PIXELS, MOST_PIXELS, int)
 
 def parser() -> argparse.ArgumentParser:
     """For ``regtorch``: ``command`` names what was asked for, the rest are its options."""
-    top = _Parser(
+    top = Parser(
         prog="regtorch",
         description="Registers one radiograph to one CT: where source, patient and detector stood, nine parameters.",
         epilog="Exit codes: 0 done; 2 bad input or usage, nothing written; 3 done, but doubtful or failed; "
@@ -128,10 +128,6 @@ def parser() -> argparse.ArgumentParser:
     add("result", metavar="RESULT", help="result.json")
     add("truth", metavar="TRUTH", help="truth.json")
     add("--json", metavar="FILE", nargs="?", const="-", help="also write it to FILE; without FILE print it as JSON")
-
-    add = _command(commands, "report", "make one HTML file of a study's folder: tables, figures, the worst cases")
-    add("folder", metavar="DIR", help="folder of the study, as the experiments leave it")
-    add("--out", metavar="FILE", help="file to write (DIR/report.html)")
     return top
 
 

@@ -1,4 +1,4 @@
-"""Command line: demo, simulate, register, evaluate, report. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed,
+"""Command line: demo, simulate, register, evaluate. Exit codes: 0 ok, 2 bad input, 3 doubtful or failed,
 130 interrupted, 141 not read to the end."""
 
 import argparse
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from regtorch.arguments import BAD_INPUT, parser
 from regtorch.errors import RegtorchError
-from regtorch.files import one_line, write_text
+from regtorch.files import one_line
 from regtorch.output import print_evaluation, print_result, progress_bar, to_json, write_json
 
 _OK, _NOT_SURE, _INTERRUPTED, _BROKEN_PIPE = 0, 3, 130, 141
@@ -23,7 +23,7 @@ _RESULTS = ("result.json", "overlay.png")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
     options = parser().parse_args(arguments)
-    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate, "report": _report}
+    run = {"demo": _demo, "simulate": _simulate, "register": _register, "evaluate": _evaluate}
     code = _BROKEN_PIPE
     before = (
         signal.signal(signal.SIGTERM, _interrupt) if threading.current_thread() is threading.main_thread() else None
@@ -231,15 +231,6 @@ def _evaluate(options: argparse.Namespace) -> int:
     if options.json:
         write_json(Path(options.json), found)
     print_evaluation(found)
-    return _OK
-
-
-def _report(options: argparse.Namespace) -> int:
-    from regtorch.report import report
-
-    out = Path(options.folder, "report.html") if options.out is None else Path(options.out)
-    write_text(out, report(Path(options.folder)))
-    print(f"wrote {out}")
     return _OK
 
 

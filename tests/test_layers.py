@@ -38,7 +38,6 @@ BELOW = {
     },
 }
 BELOW["plotting"] = set(BELOW) - {"files"}
-BELOW["report"] = {"errors"}  # of tables and pictures alone
 BELOW["arguments"] = {"errors", "limits"}  # of the command line
 BELOW["output"] = {"files"}
 BELOW["cli"] = set(BELOW)
@@ -71,6 +70,28 @@ def test_imports_point_down(part):
             if package == "regtorch":
                 imported = rest.partition(".")[0]
                 assert imported in BELOW[part] | {part, "__version__"}, f"{file} imports {name}"
+
+
+STUDIES = Path(__file__).parent.parent / "experiments"
+PACKAGES = sorted(path.parent.name for path in STUDIES.glob("*/__init__.py"))
+
+
+@pytest.mark.parametrize("study", PACKAGES)
+def test_no_study_imports_another(study):
+    """A command that only reads tables is not to be imported either: commands are for people."""
+    for file in (STUDIES / study).rglob("*.py"):
+        for name in _imported(file):
+            package, _, rest = name.partition(".")
+            if package == "experiments":
+                imported = rest.partition(".")[0]
+                assert imported in {"common", study}, f"{file} imports {name}"
+
+
+def test_commands_are_short():
+    for file in (*STUDIES.glob("*.py"), *STUDIES.glob("*/__main__.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        functions = [node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        assert functions in ([], ["main"]), f"{file} defines {functions}, expected main alone"
 
 
 def test_every_part_has_its_layer():

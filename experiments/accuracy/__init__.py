@@ -1,0 +1,1 @@
+"""The accuracy study: one real CT, radiographs simulated from it, rough starts."""

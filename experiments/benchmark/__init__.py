@@ -1,0 +1,1 @@
+"""The benchmark: the speed of regtorch beside other projectors."""

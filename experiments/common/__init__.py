@@ -1,0 +1,1 @@
+"""The furniture of all studies: tables, settings, the loop, figures' style, the report. Knows no study."""
