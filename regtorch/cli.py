@@ -185,17 +185,16 @@ def _registered(
     from regtorch import optimization
     from regtorch.imaging import BONE_HU, attenuation, crop_to_anatomy
     from regtorch.plotting import write_overlay
-    from regtorch.registration import cmaes, detector_frame, hybrid, register, selection
+    from regtorch.registration import COORDINATES, cmaes, hybrid, register
 
     methods = {"hybrid": hybrid, "cmaes": cmaes, "pycma": partial(cmaes, optimizer=optimization.pycma)}
-    coordinates = {"patient": selection, "detector": detector_frame}
     with progress_bar() as progress:
         result = register(
             ct.to(device),
             radiograph,
             options.view,
             method=methods[method],
-            coordinates=coordinates[parameters],
+            coordinates=COORDINATES[parameters],
             seed=options.seed,
             progress=progress,
             **settings,

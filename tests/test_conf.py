@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_method, instantiate
 from omegaconf import OmegaConf
 
-from experiments.settings import PATH, settings_yaml
+from experiments.common.defaults import PATH, settings_yaml
 from regtorch.registration import Settings
 
 _CONF = Path(__file__).parent.parent / "conf"

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,15 @@ import regtorch
 from regtorch.evaluation import evaluate
 from regtorch.geometry import KEYS, parameters_to_dict, pixel_from_patient
 from regtorch.imaging import Volume
-from regtorch.registration import Registration
+from regtorch.registration import Evidence, Registration
 from regtorch.simulation import Simulation
 
 ACCURACY = (
     *(f"{name}_{key}" for name in ("true", "initial", "found", "error") for key in KEYS),
     "initial_pde_mm", "pde_mm", "target_error_mm",
 )  # fmt: skip
-VERDICT = ("expected_pde_mm", "within_region", "similarity", "status", "message")
+EVIDENCE = tuple(f"evidence_{field.name}" for field in fields(Evidence))
+VERDICT = ("expected_pde_mm", "within_region", "similarity", "status", "message", "reasons", *EVIDENCE)
 COST = ("evaluations", "seconds", "threads", "device", "version")
 
 REGISTRATION = (*ACCURACY, *VERDICT, *COST)
@@ -56,7 +58,8 @@ def verdict_of(result: Registration, truth: Simulation | None, pde_mm: float | N
     """The columns ``VERDICT``: how the registration judges itself, and whether the judgement holds.
 
     ``expected_pde_mm`` is the PDE that the registration expects at the truth's targets. Without a truth it is expected
-    over the anatomy in the image. ``within_region`` says whether the PDE is at most the 95 % bound of the registration.
+    over the anatomy in the image. ``reasons`` are the codes of the broken rules. ``within_region``
+    says whether the PDE is at most the 95 % bound of the registration.
     """
     points = None if truth is None else torch.tensor(list(truth.targets.values()), dtype=torch.float64)
     expected, bound = result.expected_pde_mm(points) or (None, None)
@@ -66,7 +69,14 @@ def verdict_of(result: Registration, truth: Simulation | None, pde_mm: float | N
         "similarity": result.similarity,
         "status": result.status,
         "message": result.message,
+        "reasons": " ".join(reason.code for reason in result.reasons),
+        **{f"evidence_{name}": _cell(value) for name, value in result.evidence.to_dict().items()},
     }
+
+
+def _cell(value: Any) -> Any:
+    """Lists of names as one text."""
+    return " ".join(value) if isinstance(value, list) else value
 
 
 def cost_of(result: Registration, threads: int) -> dict[str, Any]:

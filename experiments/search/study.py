@@ -19,7 +19,7 @@ from regtorch.errors import RegtorchError
 from regtorch.formats import read_points, read_volume
 from regtorch.geometry import Detector
 from regtorch.imaging import Radiograph, Volume
-from regtorch.registration import initial_parameters, register
+from regtorch.registration import COORDINATES, initial_parameters, register
 from regtorch.simulation import Simulation, draw_parameters
 
 KEY = ("ct", "view", "kind", "seed")
@@ -80,6 +80,7 @@ class Study:
             view,
             method=instantiate(self.config.registration, _convert_="all"),
             free=self.config.dof,
+            coordinates=COORDINATES[self.config.coordinates],
             initial=self.drawn(ct, view, seed)[1],
             half_range=self.config.searched_deviations * nine_parameters(self.config.start),
             threshold_hu=self.config.threshold_hu,

@@ -27,7 +27,7 @@ from regtorch.errors import RegtorchError
 from regtorch.files import one_line
 from regtorch.geometry import VIEWS
 from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
-from regtorch.registration import hybrid
+from regtorch.registration import COORDINATES, hybrid
 from regtorch.similarity import gradient_correlation
 
 UNSHARED = ("views", "seeds", "first_seed", "shard", "threads", "device", "out")
@@ -62,6 +62,7 @@ _FOLDER = (lambda v: re.fullmatch(r"[\w.+-]*\w[\w.+-]*", v) is not None, "a name
 _FILE = (lambda v: v is None or Path(v).exists(), "a file that exists")
 _RULES: dict[str, Rule] = {
     "dof": (lambda v: v in (9, 7, 6), "9, 7 or 6"),
+    "coordinates": (lambda v: v in COORDINATES, " or ".join(COORDINATES)),
     "arm": _FOLDER,
     "out": (lambda v: isinstance(v, str) and v != "", "a folder"),
     "views": (lambda v: 0 < len(v) == len(set(v)) and set(v) <= {*VIEWS}, f"some of {', '.join(VIEWS)}, each once"),

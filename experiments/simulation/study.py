@@ -16,7 +16,7 @@ from experiments.simulation.geometries import Geometries, bone_voxels, centred, 
 from experiments.simulation.merge import KEY
 from regtorch.geometry import Detector
 from regtorch.imaging import Radiograph
-from regtorch.registration import register
+from regtorch.registration import COORDINATES, register
 from regtorch.simulation import Simulation
 
 COLUMNS = (
@@ -79,6 +79,7 @@ class Study:
             view,
             method=self.method,
             free=self.config.dof,
+            coordinates=COORDINATES[self.config.coordinates],
             initial=geometries.default,
             half_range=self.config.searched_deviations * geometries.deviations,
             threshold_hu=self.config.threshold_hu,

@@ -5,9 +5,10 @@ from regtorch.registration.result import Registration
 from regtorch.registration.search import Settings, Stage, cmaes, hybrid
 from regtorch.registration.start import initial_parameters
 from regtorch.registration.trust import Evidence, Reason
-from regtorch.registration.unknowns import detector_frame, selection
+from regtorch.registration.unknowns import COORDINATES, detector_frame, selection
 
 __all__ = [
+    "COORDINATES",
     "Evidence",
     "Reason",
     "Registration",

@@ -162,3 +162,7 @@ def detector_frame(searched: Range) -> Unknowns:
         jacobian=lambda values: torch.func.vmap(torch.func.jacfwd(nine))(values)[:, None, None],
         values=values,
     )
+
+
+COORDINATES = {"patient": selection, "detector": detector_frame}
+"""The maps by the names that commands and studies know."""

@@ -25,7 +25,7 @@ from regtorch.registration import Registration
 _ROOT = Path(__file__).parents[3]
 _CHEAP = [
     "views=[PA]", "kinds=[matched]", "seeds=1", "detector={rows: 60, columns: 50, pixel_mm: 6.0}",
-    "registration.poses=40", "registration.first={pixels: 30, candidates: 4, steps: 3}",
+    "registration.settings.poses=40",
 ]  # fmt: skip
 
 
@@ -43,8 +43,10 @@ pytestmark = pytest.mark.usefixtures("threads_kept")
 def _config(ct: Path, out: Path, *overrides: str, pixels: int = 40) -> DictConfig:
     with initialize_config_dir(str(_ROOT / "conf"), version_base="1.3"):
         config = compose("search", [*_CHEAP, f"cts=[{ct}]", f"out={out}", *overrides])
-    stage = {"_target_": "regtorch.registration.hybrid.Stage", "pixels": pixels, "candidates": 2, "steps": 3}
-    config.registration.stages = {"_target_": "builtins.tuple", "_args_": [[stage]]}  # beartype takes no list for it
+    config.registration.settings.levels = [
+        {"_target_": "regtorch.registration.Stage", "pixels": side, "candidates": candidates, "steps": 3}
+        for side, candidates in ((30, 4), (pixels, 2))
+    ]
     return config
 
 

@@ -14,10 +14,11 @@ ROOT = Path(__file__).parents[3]
 TINY = [
     "data.spacing_mm=6.0",
     "detector={rows: 60, columns: 60, pixel_mm: 5.8}",
-    "registration.poses=30",
-    "registration.first={pixels: 30, candidates: 4, steps: 3}",
-    "registration.stages=[{_target_: regtorch.registration.hybrid.Stage, pixels: 40, candidates: 2, steps: 3}]",
-    "registration.finest={pixels: 60, steps: 3}",
+    "registration.settings.poses=30",
+    "registration.settings.levels=[{_target_: regtorch.registration.Stage, pixels: 30, candidates: 4, steps: 3},"
+    "{_target_: regtorch.registration.Stage, pixels: 40, candidates: 2, steps: 3}]",
+    "registration.settings.finest_pixels=60",
+    "registration.settings.finest_steps=3",
     "seeds=8",
 ]
 

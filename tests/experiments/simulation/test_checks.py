@@ -39,9 +39,10 @@ STUDIES = sorted(path.stem for path in (ROOT / "conf" / "study").glob("*.yaml"))
         ("radiograph.photons=0", "radiograph.photons"),
         ("similarity=normalized_cross_correlation", "similarity"),
         ("+registration.pses=3", "registration: got an unexpected keyword argument 'pses'"),
-        ("+registration.climb.dampng=3", "registration.climb: got an unexpected keyword argument 'dampng'"),
-        ("registration.poses=many", "registration.poses=many: expected int"),
-        ("registration.edges_px=[a]", "registration.edges_px=.*: expected "),
+        ("+registration.settings.dampng=3", "registration: .*got an unexpected keyword argument 'dampng'"),
+        ("registration.settings.poses=many", "registration.settings.poses=many: expected int"),
+        ("registration.settings.edges_px=[a]", "registration.settings.edges_px=.*: expected "),
+        ("coordinates=polar", "coordinates=polar: expected patient or detector"),
         ("data.spacing_mm=coarse", "data.spacing_mm=coarse: expected float"),
         ("radiograph.threshold_hu=bone", r"radiograph.threshold_hu=bone: expected float \| None"),
         ("out=null", "out=None: expected a folder"),
@@ -54,7 +55,7 @@ def test_a_wrong_setting_is_named(settings, wrong, key):
 
 def test_a_component_may_have_no_options(settings, tmp_path):
     config = settings(f"out={tmp_path}")
-    config.registration = {"_target_": "regtorch.registration.hybrid.hybrid", "_partial_": True}
+    config.registration = {"_target_": "regtorch.registration.hybrid", "_partial_": True}
     check(config)
     config.similarity = {"_target_": "regtorch.similarity.normalized_cross_correlation", "_partial_": True}
     with pytest.raises(RegtorchError, match="expects gradient_correlation"):
@@ -83,9 +84,9 @@ def test_files_are_looked_for(settings, tmp_path):
         (["dof=5"], 2, "error: dof=5: expected 9, 7 or 6"),
         (["-m", "dof=9,5"], 2, "error: dof=5: expected 9, 7 or 6"),
         (["-m", "shard=0/2,0/2"], 2, "error: arm=9-DOF, shard=0/2: two jobs"),
-        (["registration.first.pixels=abc"], 2, "error: registration.first.pixels=abc: expected int"),
+        (["registration.settings.poses=abc"], 2, "error: registration.settings.poses=abc: expected int"),
         (["data.spacing_mm=0.1"], 2, "error: phantom: spacing of 0.1 mm"),
-        (["registration.pses=3"], 1, "Key 'pses' is not in struct"),
+        (["registration.settings.pses=3"], 1, "Key 'pses' is not in struct"),
         (["study=none"], 1, "Could not find 'study/none'"),
     ],
 )
