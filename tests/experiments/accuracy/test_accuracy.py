@@ -15,7 +15,7 @@ TINY = [
     "seeds=2", "detector={rows: 60, columns: 60, pixel_mm: 5.8}", "threads=1",
     "arms=[{dof: 6, radiograph_threshold_hu: 100.0}]",
 ]  # fmt: skip
-METHOD = {"_target_": "regtorch.registration.evolution.evolution", "_partial_": True}
+METHOD = {"_target_": "regtorch.registration.cmaes", "_partial_": True}
 METHOD |= {"starts": 3, "survivors": 2, "finalists": 1, "generations": 4, "final_generations": 8}
 
 
