@@ -51,15 +51,18 @@ class Matcher:
     @classmethod
     def of(cls, problem: Problem, settings: Settings, tissue: Volume, pixels: int, trace: Trace) -> "Matcher":
         """At most ``pixels`` a side; voxels of ``voxel_per_pixel`` times a pixel's size in the patient."""
-        pixel_mm = level(problem.radiograph, pixels).detector.pixel_mm
-        voxel_mm = settings.voxel_per_pixel * pixel_mm / problem.magnification
+        fixed = level(problem.radiograph, pixels)
+        voxel_mm = settings.voxel_per_pixel * fixed.detector.pixel_mm / problem.magnification
         volume = coarsen(tissue, voxel_mm, least_ratio=settings.least_averaging)
-        return cls.on(problem, settings, volume, pixels, trace)
+        return cls._with(problem, settings, volume, fixed, trace)
 
     @classmethod
     def on(cls, problem: Problem, settings: Settings, volume: Volume, pixels: int, trace: Trace) -> "Matcher":
         """The same with a volume that is coarse enough already."""
-        fixed = level(problem.radiograph, pixels)
+        return cls._with(problem, settings, volume, level(problem.radiograph, pixels), trace)
+
+    @classmethod
+    def _with(cls, problem: Problem, settings: Settings, volume: Volume, fixed: Radiograph, trace: Trace) -> "Matcher":
         fixed = replace(fixed, image=fixed.image.to(volume.data), weight=fixed.weight.to(volume.data))
         return cls(problem, settings, volume, fixed, fixed_gradients(fixed.image, fixed.weight), trace)
 
