@@ -29,8 +29,8 @@ def render(
     """Line integrals [*b, h, w] of attenuation from the source to every pixel, seen looking from the source.
 
     What lies behind the source or behind the detector is not counted, and air surrounds the volume. The images have
-    the type and device of ``volume.data``, whose unit must be ``per_mm`` (see ``regtorch.imaging.attenuation``); a
-    volume of c classes [c, d, h, w] (``tissue_classes``) gives [*b, c, h, w] in one pass. Differentiable by the
+    the type and device of ``volume.data``, whose unit must be ``per_mm`` (see ``regtorch.imaging.hounsfield``); a
+    volume of c classes of tissue [c, d, h, w] gives [*b, c, h, w] in one pass. Differentiable by the
     parameters and by the voxels with every backend.
 
     Methods: ``siddon`` (Siddon 1985) is exact for voxels of constant value; ``joseph`` (Joseph 1982) interpolates

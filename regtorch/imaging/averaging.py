@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging.attenuation import AIR_HU
+from regtorch.imaging.hounsfield import AIR_HU
 from regtorch.imaging.volume import Volume
 
 

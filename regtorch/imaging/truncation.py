@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from regtorch.imaging.attenuation import BONE_HU, MU_WATER_PER_MM
+from regtorch.imaging.hounsfield import BONE_HU, MU_WATER_PER_MM
 from regtorch.imaging.volume import Volume
 
 _CUT = 0.1

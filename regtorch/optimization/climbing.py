@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 Equations = Callable[[Float[Tensor, "n d"]], tuple[Float[Tensor, " n"], Float[Tensor, "n d d"], Float[Tensor, "n d"]]]
@@ -55,14 +55,7 @@ def levenberg_marquardt(
         resting = ((here <= lower) & (slope > 0)) | ((here >= upper) & (slope < 0))
         curvature = jtj[active] * scale[:, None] * scale
         curvature = curvature * similarity[active].clamp(min=least_similarity)[:, None, None]
-        level = curvature.diagonal(dim1=1, dim2=2)
-        damped = curvature + torch.diag_embed(
-            factor[active, None] * (level + level.mean(1, keepdim=True)) + torch.finfo(x.dtype).tiny
-        )
-        moving = (~resting).to(x)
-        damped = damped * moving[:, :, None] * moving[:, None, :] + torch.diag_embed(1 - moving)
-        step, failed = torch.linalg.solve_ex(damped, -(slope * moving)[..., None])
-        step = torch.where(((failed == 0)[:, None]) & step[..., 0].isfinite().all(1, keepdim=True), step[..., 0], 0)
+        step = _damped_step(curvature, slope, factor[active], resting)
         wanted = here + step * scale
         there = wanted.clamp(lower, upper)
         foretold = -((slope + (curvature @ step[..., None])[..., 0] / 2) * step).sum(1)
@@ -83,3 +76,20 @@ def levenberg_marquardt(
         length = ((there - here) / scale).norm(dim=1)
         active = active[~(ended | (length < tolerance) | (factor[active] > 1e4))]
     return Ascent(x, similarity, jtj, evaluations)
+
+
+def _damped_step(
+    curvature: Float[Tensor, "n d d"],
+    slope: Float[Tensor, "n d"],
+    factor: Float[Tensor, " n"],
+    resting: Bool[Tensor, "n d"],
+) -> Float[Tensor, "n d"]:
+    """Levenberg's step; 0 for resting parameters, and for all of a start whose equations cannot be solved."""
+    level = curvature.diagonal(dim1=1, dim2=2)
+    damped = curvature + torch.diag_embed(
+        factor[:, None] * (level + level.mean(1, keepdim=True)) + torch.finfo(slope.dtype).tiny
+    )
+    moving = (~resting).to(slope)
+    damped = damped * moving[:, :, None] * moving[:, None, :] + torch.diag_embed(1 - moving)
+    step, failed = torch.linalg.solve_ex(damped, -(slope * moving)[..., None])
+    return torch.where(((failed == 0)[:, None]) & step[..., 0].isfinite().all(1, keepdim=True), step[..., 0], 0)

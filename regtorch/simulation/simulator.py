@@ -14,7 +14,7 @@ from regtorch.drr import render
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, parameters_to_dict, pixel_from_patient, project, world_from_ct
 from regtorch.imaging import BONE_HU, Volume, attenuation
-from regtorch.imaging.attenuation import BODY_HU, corners_ct, crop_to_anatomy
+from regtorch.imaging.hounsfield import BODY_HU, corners_ct, crop_to_anatomy
 from regtorch.imaging.points import spread_points
 from regtorch.simulation.noise import add_quantum_noise
 

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.batches import at_once
 from regtorch.drr import render, render_with_jacobian
 from regtorch.imaging import Radiograph, Volume, coarsen, continued, level
 from regtorch.optimization.climbing import levenberg_marquardt
@@ -21,8 +22,6 @@ from regtorch.scoring import gradient_correlations, normal_equations
 from regtorch.similarity import gradient_correlation
 from regtorch.similarity.gram import FixedGradients, fixed_gradients
 from regtorch.similarity.robust import explained_weight
-
-_PIXELS_AT_ONCE = 1 << 22
 
 
 class Climbed(NamedTuple):
@@ -72,10 +71,9 @@ class Matcher:
         detector, view = self.fixed.detector, self.problem.view
         if self.problem.similarity is gradient_correlation:
             return gradient_correlations(self.volume, parameters, detector, view, self.gradients).cpu()
-        at_once = max(1, _PIXELS_AT_ONCE // (detector.rows * detector.columns))
         found = [parameters.new_zeros(0)]
         with torch.no_grad():
-            for some in parameters.split(at_once) if len(parameters) else ():
+            for some in parameters.split(at_once(detector.rows * detector.columns)) if len(parameters) else ():
                 moving = render(self.volume, some, detector, view)
                 similarity = self.problem.similarity(moving, self.fixed.image, weight=self.fixed.weight)
                 found.append(similarity.cpu().double())

@@ -1,7 +1,6 @@
 """HU to linear attenuation, and the boxes of what attenuates."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -39,20 +38,6 @@ def attenuation(
     if float(data.amax()) == 0:
         raise _nothing_attenuates(volume, threshold_hu)
     return volume.with_data(data, unit="per_mm")
-
-
-def tissue_classes(
-    volume: Volume, *, limits_hu: tuple[float, ...] = (BONE_HU,), mu_water_per_mm: float = MU_WATER_PER_MM
-) -> Volume:
-    """``attenuation`` of all tissue, split into classes [c, d, h, w] at limits in HU: soft tissue and bone by default.
-
-    The classes sum to the whole; a voxel of exactly a limit belongs to the denser class.
-    """
-    whole = attenuation(volume, threshold_hu=None, mu_water_per_mm=mu_water_per_mm)
-    limits = volume.data.new_tensor(sorted(limits_hu))
-    number = torch.bucketize(volume.data, limits, right=True)
-    classes = torch.stack([torch.where(number == c, whole.data, 0) for c in range(len(limits) + 1)])
-    return replace(whole, data=classes)
 
 
 def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
