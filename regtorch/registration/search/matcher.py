@@ -128,6 +128,11 @@ class Matcher:
         return result
 
     @property
+    def pixels(self) -> int:
+        """Pixels of the longer side."""
+        return max(self.fixed.detector.rows, self.fixed.detector.columns)
+
+    @property
     def pixel_mm(self) -> float:
         return self.fixed.detector.pixel_mm
 

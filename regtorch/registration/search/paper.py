@@ -159,7 +159,7 @@ def _found(problem: Problem, all_starts: Optimum, final: Optimum, fine: Matcher)
 
 
 def _note(level: Matcher, found: Optimum, name: str) -> None:
-    level.trace.add(name, level.fixed.detector.columns, len(found.x), -float(found.cost.min()))
+    level.trace.add(name, level.pixels, len(found.x), -float(found.cost.min()))
 
 
 def _spread_mm(
