@@ -1,4 +1,4 @@
-"""What may be said on the command line. Bad usage ends in one line and exit code 2; nothing heavy is imported."""
+"""The options of the command line. Bad usage ends in one line and exit code 2; nothing heavy is imported."""
 
 import argparse
 import math
@@ -19,7 +19,7 @@ _TARGETS_HELP = "named points (CSV of name,x,y,z in LPS mm; .mrk.json or .fcsv o
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; argparse would print the usage as well."""
+    """Tells an error in one line; argparse would print the usage as well."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -32,7 +32,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _number(low: float | int, high: float | int, kind: type[float] | type[int] = float) -> Callable[[str], float | int]:
-    """What reads an option's value; argparse puts the option's name before what this has to say."""
+    """A reader of an option's value; argparse puts the option's name before the message."""
 
     def read(text: str) -> float | int:
         try:
@@ -63,7 +63,7 @@ _SIDE = _number(LEAST_PIXELS, MOST_PIXELS, int)
 
 
 def parser() -> argparse.ArgumentParser:
-    """For ``regtorch``: ``command`` names what was asked for, the rest are its options."""
+    """For ``regtorch``: ``command`` is the command's name, the rest are its options."""
     top = Parser(
         prog="regtorch",
         description="Registers one radiograph to one CT: where source, patient and detector stood, nine parameters.",

@@ -2,7 +2,8 @@
 
 _NUMBERS = {"cpu": 1 << 22}
 _NUMBERS_ELSEWHERE = 1 << 26
-"""Numbers of a batch, by device: what stays in a CPU's cache is several times faster, while a GPU wants many."""
+"""Numbers of a batch, by device: a batch that stays in a CPU's cache is several times faster, while a GPU wants large
+ones."""
 
 _MOST = 4096
 """Largest batch: beyond it launching costs nothing any more."""

@@ -145,7 +145,7 @@ def _span(source, direction, lower, upper):
 
 
 def _sharpened(points, sharpness):
-    """Where linear interpolation gives what voxels of this sharpness have at (i, j, k)."""
+    """The place where linear interpolation gives the value of voxels of this sharpness at (i, j, k)."""
     cell = points.detach().floor()
     return cell + ((points - cell - 0.5) * sharpness + 0.5).clamp(0, 1)
 

@@ -1,4 +1,4 @@
-"""What a stored value says of the beam, and line integrals from it.
+"""The meaning of stored values for the beam, and line integrals from them.
 
 DICOM PS3.3 C.8.11.3.1.2 (DX) and C.8.7.1 (XA, RF): PixelIntensityRelationship is LIN (proportional to the beam's
 intensity), LOG (to its logarithm) or DISP (made for display); PixelIntensityRelationshipSign is 1 where lower values
@@ -43,7 +43,7 @@ class Meaning:
 
 
 def check_intensity(intensity: str) -> None:
-    """Raises ``RegtorchError`` for a word that is none of ``INTENSITIES``."""
+    """Raises ``RegtorchError`` for a word outside ``INTENSITIES``."""
     if intensity not in INTENSITIES:
         raise RegtorchError(f"intensity {intensity!r}: expected one of {', '.join(INTENSITIES)}")
 
@@ -66,7 +66,7 @@ def dicom_meaning(header: Dataset, intensity: str) -> Meaning:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What a file states of its grey values besides a sign."""
+    """A file's statements about its grey values, besides a sign."""
 
     relation: str
     monochrome: str

@@ -1,7 +1,7 @@
 """Poses in the conventions of other tools: one convention inside, named ones at the border.
 
-Each function takes the nine parameters [*b, 9] (mm, rad), a detector, a view and the CT's centre (LPS mm), and returns
-what the other tool is given. Its docstring names frame, units and flips.
+Each function takes the nine parameters [*b, 9] (mm, rad), a detector, a view and the CT's centre (LPS mm). It returns
+the other tool's numbers. Its docstring names frame, units and flips.
 """
 
 from typing import NamedTuple

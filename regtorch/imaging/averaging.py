@@ -1,4 +1,4 @@
-"""Exact area averaging onto a coarser grid, one axis at a time: what both pyramids are made of."""
+"""Exact area averaging onto a coarser grid, one axis at a time: both pyramids are made by it."""
 
 import math
 from dataclasses import replace

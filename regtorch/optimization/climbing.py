@@ -35,12 +35,12 @@ def levenberg_marquardt(
     """Climb the mean rho of normalised correlations M F, whose residuals are M - F with Jacobian J.
 
     ``equations`` gives rho, J^T J and J^T (M - F) summed over the correlations. Where M and F are unlike, the curvature
-    of rho is not J^T J but rho times that: M has constant length, so F M'' = -rho J^T J + what F has beside M. Steps
-    are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units of ``scale``, and
-    taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, when one that is hardly
-    damped, and that no limit cuts off, gains less than ``least_gain`` of what rho lacks to 1, or when one is not taken
-    though strongly damped. Nor is one tried that by J^T J gains no more.
-    Points stay between ``lower`` and ``upper``: a parameter at a limit that wants beyond rests.
+    of rho is not J^T J but rho times that: M has constant length, so F M'' = -rho J^T J and a term of the part of F
+    beside M. Steps are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units
+    of ``scale``, and taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, or is
+    not taken though strongly damped. It also ends when a hardly damped step, which no limit cuts off, gains less than
+    ``least_gain`` of 1 - rho. A step that gains no more by J^T J is not tried. Points stay between ``lower`` and
+    ``upper``: a parameter at a limit that wants beyond rests.
     """
     x = start.clamp(lower, upper)
     similarity, jtj, jtr = (part.clone() for part in equations(x))

@@ -1,6 +1,6 @@
 """CMA-ES for many starts at once. Hansen, The CMA Evolution Strategy: A Tutorial, arXiv 1604.00772 (equations below).
 
-All starts share the generation counter g; what differs is a row of a tensor. A start that has ended leaves the batch.
+All starts share the generation counter g; each start is a row of a tensor. A start that has ended leaves the batch.
 """
 
 from collections.abc import Callable, Sequence
@@ -133,8 +133,8 @@ def _generation(
 ) -> Float[Tensor, "a lam"]:
     """Sample, evaluate, select and adapt once, in place; returns the costs, lowest first.
 
-    Sums of products instead of matrix products: the last digits of those depend on a matrix's place in the batch, and
-    for matrices this small their threads cost more than they save.
+    Sums of products instead of matrix products: a matrix product's last digits depend on the matrix's place in the
+    batch. For matrices this small its threads cost more than they save.
     """
     a, lam, d = z.shape
     scaled = z * rows.D[:, None]

@@ -1,4 +1,4 @@
-"""The ``cma`` package (N. Hansen's pycma) behind the same call: for those who trust it, and as the tests' oracle."""
+"""The ``cma`` package (N. Hansen's pycma) behind the same call: for users who trust it, and as the tests' oracle."""
 
 import sys
 import warnings
@@ -35,9 +35,9 @@ def pycma(
 ) -> Optimum:
     """Minimise from n starts; arguments and errors as in ``cma_es``, population for population in the same calls.
 
-    Bounds and a first covariance are dealt with by the same change of coordinates as there, so pycma itself sees an
-    unbounded problem that starts with a unit step. ``reason`` holds pycma's own names ("tolfun", "tolstagnation");
-    its rules are not quite the tutorial's. numpy's global generator is neither read nor changed.
+    The same change of coordinates as there handles bounds and a first covariance. pycma itself sees an unbounded
+    problem that starts with a unit step. ``reason`` holds pycma's own names ("tolfun", "tolstagnation"); its rules are
+    not quite the tutorial's. numpy's global generator is neither read nor changed.
     """
     import cma  # half a second, for those who ask for it
 

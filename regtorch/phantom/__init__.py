@@ -35,7 +35,7 @@ def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float
         bodies of C7, T1 to T12, L1 to L5 and S1 in LPS mm.
 
     Raises:
-        RegtorchError: for a spacing outside those bounds.
+        RegtorchError: for a spacing outside these bounds.
     """
     if not _FINEST <= spacing_mm <= _COARSEST:
         raise RegtorchError(f"phantom: spacing of {spacing_mm} mm, expected {_FINEST} to {_COARSEST} mm")

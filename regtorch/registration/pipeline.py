@@ -201,7 +201,7 @@ def _check_radiograph(radiograph: Radiograph) -> None:
 
 
 def _unstored(radiograph: Radiograph, stored: Point2) -> Point2:
-    """(column, row) of the image seen from the source, for those of the file."""
+    """(column, row) of the image seen from the source, from (column, row) of the file."""
     size = torch.tensor([radiograph.detector.columns, radiograph.detector.rows], dtype=torch.float64)
     columns, rows = (radiograph.stored_from_pixel[:2, :2].abs() @ size).int().tolist()
     if not (-0.5 <= stored[0] <= columns - 0.5 and -0.5 <= stored[1] <= rows - 0.5):

@@ -58,8 +58,8 @@ def normal_equations(
 ) -> NormalEquations:
     """As ``gradient_correlations``, with J^T J [*b, p, p] and J^T r [*b, p] by the parameters ``free`` (None: all).
 
-    r is the difference of the normalised gradient images, |r|^2 = 4 (1 - similarity), J its exact derivative
-    (per mm, per rad), which is stored for a few rows of one image at a time.
+    r is the difference of the normalised gradient images, with |r|^2 = 4 (1 - similarity). J is its exact derivative
+    (per mm, per rad), stored for a few rows of one image at a time.
     """
     free = list(range(9)) if free is None else free
     found = _scored(volume, parameters, detector, view, fixed, weight, free, method, backend)

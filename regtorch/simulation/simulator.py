@@ -29,7 +29,7 @@ _DRAWS = 100
 
 @dataclass(frozen=True)
 class Simulation:
-    """``image``: line integrals seen from the source. ``targets`` (LPS mm) are those that the image shows."""
+    """``image``: line integrals seen from the source. ``targets`` (LPS mm) are the ones in the image."""
 
     image: Float[Tensor, "h w"]
     parameters: Float[Tensor, "9"]
@@ -96,7 +96,7 @@ def simulate(
     targets: Mapping[str, tuple[float, float, float]] | None = None,
     seed: int = 0,
 ) -> Simulation:
-    """Render a radiograph by Siddon's method, from the whole CT or what is left above ``threshold_hu``.
+    """Render a radiograph by Siddon's method, from the whole CT or its voxels above ``threshold_hu``.
 
     ``photons`` per pixel of the open beam adds quantum noise, drawn from ``seed``. ``targets`` (LPS mm) default to
     points spread over the bones; raises ``RegtorchError`` when the image shows none of them.

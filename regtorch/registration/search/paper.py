@@ -29,7 +29,7 @@ _DONE = ((0.0, 0.6), (0.6, 0.7), (0.7, 1.0))
 
 @dataclass(frozen=True)
 class _Run:
-    """What the three stages share."""
+    """The part that the three stages share."""
 
     problem: Problem
     optimizer: Callable[..., Optimum]

@@ -1,4 +1,4 @@
-"""What a search has seen that speaks for or against its answer: named numbers, for rules, files and tables."""
+"""Evidence for and against a search's answer: named numbers, for rules, files and tables."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -40,7 +40,7 @@ class Evidence:
     """Starts that ended at the answer's place."""
 
     gap: float | None
-    """The best agreeing start's similarity less that of the runner-up, the best start elsewhere."""
+    """The best agreeing start's similarity less the runner-up's, the best start elsewhere."""
 
     runner_up_mm: float | None
     """Shift of the runner-up along the body axis, mm in the detector plane (up is positive); 0 for other shifts."""
