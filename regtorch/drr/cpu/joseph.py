@@ -7,7 +7,7 @@ each; sums.
 
 On slice k a ray is at (a0 + k da, b0 + k db). Its integral is L T, T = sum of f over slices, L the length per slice.
 Let f_a and f_b be the derivatives of a bilinear value. The sums of f_a, f_b, (k - S_m) f_a and (k - S_m) f_b give the
-derivative by source S and pixel P: from da = (P_a - S_a) / D, D = P_m - S_m, and a0 = S_a - S_m da follow
+derivative by source S and pixel P: take da = (P_a - S_a) / D, D = P_m - S_m, and a0 = S_a - S_m da. Then
 d a(k) = dS_a - da dS_m + (k - S_m) d da and d da = (dP_a - dS_a - da (dP_m - dS_m)) / D. For precision the moments
 are taken about the middle of the volume and moved to the source at the end.
 """
