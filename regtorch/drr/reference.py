@@ -11,7 +11,7 @@ from torch.nn.functional import grid_sample
 
 from regtorch.batches import at_once
 
-_SHARE = 2
+_SHARE = 2.0
 """Of the budget: the reference holds one array of samples at a time."""
 
 
