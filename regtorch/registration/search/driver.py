@@ -185,7 +185,6 @@ def _found(search: Search) -> Found:
         search.starts,
         search.together,
         comparable=True,
-        guided=search.whole is not None,
         covariance=error,
         released=moves,
         mirrored=_mirrored_similarity(search),
