@@ -1,4 +1,4 @@
-"""CT and radiograph in memory: made into what the registration compares, and checked."""
+"""CT and radiograph in memory: prepared for registration, and checked."""
 
 from regtorch.imaging.attenuation import BONE_HU, attenuation, bone_contrast, crop_to_anatomy, tissue_classes
 from regtorch.imaging.averaging import coarsen

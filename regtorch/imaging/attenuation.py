@@ -1,4 +1,4 @@
-"""HU to linear attenuation, and the boxes of what attenuates."""
+"""HU to linear attenuation, and the boxes that enclose the attenuating voxels."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,21 +13,23 @@ from regtorch.imaging.volume import Volume
 AIR_HU = -1000.0
 
 BODY_HU = -300.0
-"""The patient lies above, air below; fat has about -100."""
+"""Separates the patient (denser) from air; fat has about -100 HU."""
 
 BONE_HU = 100.0
-"""The paper's threshold T: soft tissue lies below 80 HU, bone above 150."""
+"""The paper's threshold T; soft tissue has less than 80 HU, bone more than 150."""
 
 MU_WATER_PER_MM = 0.02
-"""Of water at about 60 keV, a usual beam's mean energy."""
+"""Attenuation of water at about 60 keV, the mean energy of a usual beam."""
 
 
 def attenuation(
     volume: Volume, *, threshold_hu: float | None = BONE_HU, mu_water_per_mm: float = MU_WATER_PER_MM
 ) -> Volume:
-    """mu = mu_water (1 + HU/1000) per mm, 0 from -1000 HU down (scanners pad with -3024) and below ``threshold_hu``.
+    """Convert HU to mu = mu_water (1 + HU/1000) per mm.
 
-    ``threshold_hu`` leaves bone by default, as the paper does; None keeps everything.
+    Values at or below -1000 HU become 0, because scanners pad with as little as -3024. Values below ``threshold_hu``
+    become 0 too: by default only bone remains, as in the paper. None keeps all tissue. Raises ``RegtorchError`` if the
+    volume is not in HU, if ``mu_water_per_mm`` is not positive, or if nothing attenuates.
     """
     if volume.unit != "HU":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected HU")
@@ -44,9 +46,10 @@ def attenuation(
 def tissue_classes(
     volume: Volume, *, limits_hu: tuple[float, ...] = (BONE_HU,), mu_water_per_mm: float = MU_WATER_PER_MM
 ) -> Volume:
-    """``attenuation`` of all tissue, split into classes [c, d, h, w] at limits in HU: soft tissue and bone by default.
+    """Split the ``attenuation`` of all tissue into classes [c, d, h, w] at limits in HU.
 
-    The classes sum to the whole; a voxel of exactly a limit belongs to the denser class.
+    The default classes are soft tissue and bone. The classes add up to the whole. A voxel with exactly the value of a
+    limit belongs to the denser class.
     """
     whole = attenuation(volume, threshold_hu=None, mu_water_per_mm=mu_water_per_mm)
     limits = volume.data.new_tensor(sorted(limits_hu))
@@ -56,19 +59,20 @@ def tissue_classes(
 
 
 def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
-    """What ``attenuation`` left above a threshold, less what tissue just at the threshold attenuates: bone's contrast.
+    """Contrast of bone: its ``attenuation`` minus the attenuation of tissue at the threshold.
 
-    Bones in a body displace soft tissue, and a radiograph shows them by the difference. Without a threshold, or with
-    one of air, nothing is taken off.
+    Bone in a body displaces soft tissue, so a radiograph shows only the difference. Nothing is subtracted without a
+    threshold or with the threshold of air.
     """
     soft = 0.0 if threshold_hu is None else max(0.0, MU_WATER_PER_MM * (1 - threshold_hu / AIR_HU))
     return bone.with_data(bone.data.sub(soft).clamp_(min=0)) if soft > 0 else bone
 
 
 def crop_to_anatomy(volume: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
-    """The box of what ``attenuation`` leaves of a CT in HU, and one voxel around it; the ``ct`` origin stays.
+    """Crop a CT in HU to the voxels that attenuate above the threshold, with a margin of one voxel.
 
-    A view of the CT's own voxels.
+    The origin of the ``ct`` frame stays. The result is a view of the CT's own voxels. Raises ``RegtorchError`` if the
+    volume is not in HU or nothing attenuates.
     """
     if volume.unit != "HU":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected HU")
@@ -84,7 +88,10 @@ def crop_to_anatomy(volume: Volume, *, threshold_hu: float | None = BONE_HU) -> 
 
 
 def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
-    """Corners, in the ``ct`` frame (mm), of the box around all voxels over a threshold; of the CT if none is."""
+    """Corners, in the ``ct`` frame (mm), of the box around all voxels above a threshold.
+
+    If no voxel is above it, the corners are those of the whole CT.
+    """
     box = _box(ct, lambda hu: hu > above_hu) or [(0, n - 1) for n in ct.data.shape]
     corners = torch.cartesian_prod(*(torch.tensor(ends, dtype=torch.float64) for ends in reversed(box)))
     in_patient = corners @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
@@ -92,7 +99,10 @@ def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
 
 
 def _box(ct: Volume, inside: Callable[[Tensor], Tensor]) -> list[tuple[int, int]]:
-    """First and last index along k, j and i of what is ``inside`` by its HU, as all denser is too; nothing if none."""
+    """First and last index along k, j and i of the voxels ``inside``; an empty list if there are none.
+
+    ``inside`` takes HU. If it holds for one value, it must hold for every denser one.
+    """
     across = ct.data.amax(0)
     highest = ct.data.flatten(1).amax(1), across.amax(1), across.amax(0)
     found = [inside(line).nonzero().flatten() for line in highest]
