@@ -92,7 +92,7 @@ def _check_place(path: Path, header: bytes, order: str, version: int, size: Shap
                 f"{path}: sform and qform put voxels up to {apart:.3g} mm apart, expected one place (the other code 0)"
             )
     if sform <= 0 and qform <= 0:
-        return ("no orientation is stated (qform and sform codes are 0): rows are taken to run to the left, columns to the back",)
+        return ("no orientation is stated (qform and sform codes are 0): rows are taken to run left, columns back",)
     return ()
 
 

@@ -92,4 +92,4 @@ def _nrrd_warnings(path: Path) -> tuple[str, ...]:
         header = iter(lambda: file.readline(1 << 16).strip(), b"")
         if any(line.lower().startswith(b"space:") for line in header):
             return ()
-    return ("no orientation is stated (no 'space'): rows are taken to run to the left, columns to the back",)
+    return ("no orientation is stated (no 'space'): rows are taken to run left, columns back",)
