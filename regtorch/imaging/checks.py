@@ -1,7 +1,6 @@
 """Checks of a CT and of a radiograph: one line for each fault, none for a sound image.
 
-The limits were set on DRRs of three CTs (PA and LAT, bone alone and all tissue, many poses), with a margin to all of
-them.
+The limits were set on DRRs of three CTs (PA and LAT, bone alone and all tissue, many poses), with a margin.
 """
 
 import torch

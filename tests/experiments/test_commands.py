@@ -1,4 +1,4 @@
-"""Every command says on --help what it does; user errors end in one line."""
+"""Every command describes itself on --help; user errors end in one line."""
 
 import os
 import subprocess
