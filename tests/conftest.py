@@ -11,7 +11,7 @@ install_import_hook("regtorch", "beartype.beartype")
 
 @pytest.fixture
 def threads_kept():
-    """For what sets the number of threads, as studies do."""
+    """Restores the number of threads after a test whose code changes it, as studies do."""
     import numba
     import torch
 

@@ -50,7 +50,7 @@ def test_every_method_can_be_chosen_for_a_study(name: str) -> None:
 
 
 def _plain(value):
-    """Sequences as lists, settings as dictionaries: Hydra makes lists of all sequences."""
+    """Sequences as lists and settings as dictionaries, because Hydra turns all sequences into lists."""
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     return [_plain(each) for each in value] if isinstance(value, list | tuple) else value

@@ -1,4 +1,4 @@
-"""Distances worked out by hand, and JSON files that are not what they should be."""
+"""Distances computed by hand, and invalid JSON files."""
 
 import json
 import math
@@ -27,7 +27,7 @@ def _pose(**changes: float) -> torch.Tensor:
 def _content(
     pose: torch.Tensor, view: str = "PA", mirrored: bool = False, origin_mm: torch.Tensor = ORIGIN_MM
 ) -> dict[str, Any]:
-    """What ``result.json`` and ``truth.json`` share, and what each has of its own."""
+    """The common content of ``result.json`` and ``truth.json``, and the content of each alone."""
     detector = Detector(ROWS, COLUMNS, PIXEL_MM)
     matrix = pixel_from_patient(pose, detector, view, origin_mm)
     if mirrored:
@@ -57,7 +57,7 @@ def write(tmp_path) -> Callable[[Any], Path]:
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("view", ["PA", "RLAT"])
 def test_another_part_of_the_ct_is_no_error(view: str, mirrored: bool):
-    """Its centre lies elsewhere, and the patient's place is told by that."""
+    """Its centre lies elsewhere, and the position of the patient refers to that centre."""
     pose = _pose(x_s_mm=20, eta_deg=4, theta_deg=-3, phi_deg=8, x_obj_mm=5)
     shift = torch.tensor([10.0, -20, 35], dtype=torch.float64)
     moved = pose.clone()

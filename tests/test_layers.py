@@ -80,7 +80,7 @@ PACKAGES = sorted(path.parent.name for path in STUDIES.glob("*/__init__.py"))
 
 @pytest.mark.parametrize("study", PACKAGES)
 def test_no_study_imports_another(study):
-    """A command that only reads tables is not to be imported either: commands are for people."""
+    """No study imports a command either, not even one that only reads tables: commands are for users."""
     for file in (STUDIES / study).rglob("*.py"):
         for name in _imported(file):
             package, _, rest = name.partition(".")

@@ -1,4 +1,4 @@
-"""The phantom: the same torso at every call and spacing, plausible, nearly but not quite periodic and symmetric."""
+"""The phantom: the same plausible torso at every call and spacing, nearly but not exactly periodic and symmetric."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""CT, radiograph and named points on disk: DICOM, NIfTI, NRRD, MHA, PNG, TIFF, CSV, Slicer's markups."""
+"""Files of CTs, radiographs and named points: DICOM, NIfTI, NRRD, MHA, PNG, TIFF, CSV, markups of 3D Slicer."""
 
 from regtorch.formats.radiograph_writer import write_radiograph
 from regtorch.formats.radiographs import read_radiograph

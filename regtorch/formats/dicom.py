@@ -1,4 +1,4 @@
-"""DICOM headers and pixels without surprises: an unreadable file ends in a ``RegtorchError``, without other output."""
+"""Reading of DICOM headers and pixels: a broken file prints nothing, and its pixels raise ``RegtorchError``."""
 
 import math
 import warnings
@@ -18,30 +18,30 @@ from regtorch.formats.files import native_silence
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps pydicom's warnings and its decoders' messages off the screen."""
+    """Suppresses the warnings of pydicom and the messages of its decoders."""
     with native_silence(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
 def read_header(path: Path, keywords: Sequence[str] | None = None) -> Dataset | None:
-    """Without pixels, only ``keywords`` if given; None for a file that is not DICOM."""
+    """The header without pixels, reduced to ``keywords`` if given; None if the file is not DICOM or is broken."""
     try:
         return pydicom.dcmread(path, stop_before_pixels=True, specific_tags=list(keywords) if keywords else None)
-    except Exception:  # a broken file of any kind; pydicom raises KeyError, struct.error and more
+    except Exception:  # for broken files pydicom raises KeyError, struct.error and more
         return None
 
 
 def read_pixels(path: Path) -> Shaped[ndarray, "*shape"]:
-    """Stored values, decompressed."""
+    """Stored values, decompressed. Raises ``RegtorchError`` if they cannot be decoded."""
     try:
         return pydicom.dcmread(path).pixel_array
-    except Exception as error:  # each decoder raises what it likes
+    except Exception as error:  # each decoder raises exceptions of its own
         raise RegtorchError(f"{path}: pixels cannot be decoded ({one_line(error)}), expected a whole image") from error
 
 
 def words(header: Dataset, keyword: str) -> list[str]:
-    """Values as text, however many there are; none where absent or empty."""
+    """All values of an attribute as text; an empty list if it is absent or empty."""
     value = header.get(keyword)
     if value is None or value == "":
         return []
@@ -50,7 +50,7 @@ def words(header: Dataset, keyword: str) -> list[str]:
 
 
 def numbers(header: Dataset, keyword: str) -> list[float]:
-    """Values as finite numbers; none where absent, empty or something else."""
+    """All values of an attribute as numbers; an empty list unless all are finite numbers."""
     try:
         values = [float(v) for v in words(header, keyword)]
     except ValueError:
@@ -59,6 +59,6 @@ def numbers(header: Dataset, keyword: str) -> list[float]:
 
 
 def number(header: Dataset, keyword: str) -> float | None:
-    """A single number, or None."""
+    """The value of an attribute with a single finite number, else None."""
     values = numbers(header, keyword)
     return values[0] if len(values) == 1 else None

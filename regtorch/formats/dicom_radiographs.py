@@ -1,4 +1,4 @@
-"""One radiograph's pixels and their meaning by the DICOM header."""
+"""The pixels of one DICOM radiograph and their description in its header."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,12 +19,22 @@ _FLUORO = ("RF", "XA")
 _NOT_PROJECTIONS = ("CT", "MR", "PT", "NM", "US")
 _VIEW_POSITIONS = {"PA": ("PA",), "AP": ("AP",), "LL": ("LLAT", "LAT"), "RL": ("RLAT",)}
 _LEAST_OPENING = 1 / 16
-"""Of the image, that a shutter leaves."""
+"""Least share of the image that a shutter must leave open to be used."""
 
 
 @dataclass(frozen=True)
 class StoredRadiograph:
-    """A radiograph as its file has it: values and their meaning, place and size of the pixels where stated."""
+    """A radiograph as its file stores it.
+
+    Args:
+        values: Stored values.
+        meaning: Relation of the values to the beam.
+        pixel_mm: Pixel size in the detector plane, if stated.
+        sdd_mm: Source-detector distance, if stated.
+        orientation: DICOM's PatientOrientation, if stated.
+        unused: True for padding and for pixels behind a shutter.
+        warnings: Faults found while reading, one line each.
+    """
 
     values: Shaped[ndarray, "h w"]
     meaning: Meaning
@@ -36,7 +46,10 @@ class StoredRadiograph:
 
 
 def read_dicom(path: Path, view: str, intensity: str, pixel_mm: float | None) -> StoredRadiograph:
-    """A single monochrome frame; ``pixel_mm`` overrules the header."""
+    """Read a single monochrome frame; ``pixel_mm`` overrules the header.
+
+    Raises ``RegtorchError`` for another kind of image, oblong pixels, or a file that cannot be read.
+    """
     with quiet():
         header = read_header(path)
         if header is None:
@@ -87,7 +100,7 @@ def _check_view(header: Dataset, view: str, found: list[str]) -> None:
 
 
 def _pixel_mm(path: Path, header: Dataset, found: list[str]) -> float | None:
-    """In the detector's plane: ImagerPixelSpacing is there, PixelSpacing may have been calibrated in the patient."""
+    """Pixel size in the detector plane: ImagerPixelSpacing first, as PixelSpacing may be calibrated in the patient."""
     sizes = {}
     for keyword in ("ImagerPixelSpacing", "PixelSpacing", "NominalScannedPixelSpacing"):
         values = numbers(header, keyword)
@@ -110,7 +123,7 @@ def _pixel_mm(path: Path, header: Dataset, found: list[str]) -> float | None:
 
 
 def _check_aspect(path: Path, header: Dataset) -> None:
-    """How high a pixel is to its width, which is stated where no size is."""
+    """Check the ratio of pixel height to width, which files state if they state no size."""
     aspect = numbers(header, "PixelAspectRatio")
     if len(aspect) == 2 and min(aspect) > 0 and abs(aspect[0] / aspect[1] - 1) > 0.01:
         raise RegtorchError(f"{path}: PixelAspectRatio {aspect[0]:g}/{aspect[1]:g} is oblong, expected square pixels")
@@ -147,14 +160,14 @@ def _padding(header: Dataset, stored: Shaped[ndarray, "h w"]) -> Bool[ndarray, "
 
 
 def _shuttered(header: Dataset, found: list[str]) -> Bool[ndarray, "h w"]:
-    """Where display shutters lie (DICOM PS3.3 C.7.6.11): rows and columns are counted from 1."""
+    """Pixels behind display shutters (DICOM PS3.3 C.7.6.11), which count rows and columns from 1."""
     rows, columns = header.Rows, header.Columns
     row, column = np.ogrid[1 : rows + 1, 1 : columns + 1]
     closed = np.zeros((rows, columns), bool)
     for shape in words(header, "ShutterShape"):
         opening = _opening(header, shape, row, column)
         if opening is None or opening.mean() < _LEAST_OPENING:
-            found.append(f"the {shape} shutter is not understood or leaves next to nothing: it is not used")
+            found.append(f"the {shape} shutter is not understood or leaves almost nothing: it is not used")
         else:
             closed |= ~opening
     return closed
@@ -163,7 +176,7 @@ def _shuttered(header: Dataset, found: list[str]) -> Bool[ndarray, "h w"]:
 def _opening(
     header: Dataset, shape: str, row: Shaped[ndarray, "h 1"], column: Shaped[ndarray, "1 w"]
 ) -> Bool[ndarray, "h w"] | None:
-    if shape == "RECTANGULAR":  # its edges are the lines just outside
+    if shape == "RECTANGULAR":  # its edges are the rows and columns just outside the opening
         names = ("UpperHorizontal", "LowerHorizontal", "LeftVertical", "RightVertical")
         edges = [number(header, f"Shutter{name}Edge") for name in names]
         if None in edges:

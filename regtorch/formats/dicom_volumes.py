@@ -1,4 +1,4 @@
-"""A CT from a folder of DICOM slices, or a sentence that says why the slices do not make one."""
+"""A CT from a folder of DICOM slices, or an error that says why the slices do not form a CT."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ _KEYWORDS = [
 ]
 _CT_IMAGE = "1.2.840.10008.5.1.4.1.1.2"
 _AIR_HU, _DENSEST_HU = -1024, 4000
-"""The value of padding that would be denser than any bone; metal ends above 3,000 HU in most scanners."""
+"""Padding above the second value becomes the first; in most scanners metal reaches a little over 3,000 HU."""
 
 
 @dataclass(frozen=True)
 class _Slice:
-    """``axes`` are the directions of increasing column and of increasing row; ``spacing`` is between rows, columns."""
+    """One slice: ``axes`` are the directions of increasing column and row, ``spacing`` is between rows and columns."""
 
     path: Path
     header: Dataset
@@ -38,7 +38,10 @@ class _Slice:
 
 
 def read_dicom_folder(folder: Path) -> Volume:
-    """The one CT series in ``folder``, in HU; every slice must be there, once, at equal distances."""
+    """Read the only CT series in ``folder``, in HU.
+
+    Raises ``RegtorchError`` for several series, missing, repeated or broken slices, unequal distances or a gantry tilt.
+    """
     with quiet():
         headers = _headers(folder)
         _check_one_series(folder, list(headers.values()))
@@ -61,7 +64,7 @@ def read_dicom_folder(folder: Path) -> Volume:
 
 
 def _headers(folder: Path) -> dict[Path, Dataset]:
-    """Of the DICOM images in the folder; other files lie there undisturbed."""
+    """Headers of all DICOM images in the folder; other files are ignored."""
     inside = sorted(folder.iterdir())
     found = {p: read_header(p, _KEYWORDS) for p in inside if p.is_file()}
     for path, header in found.items():
@@ -132,7 +135,7 @@ def _check_alike(folder: Path, slices: list[_Slice]) -> None:
 def _equal_step(folder: Path, slices: list[_Slice], heights: Float[ndarray, " n"]) -> float:
     gaps = np.diff(heights)
     usual = float(np.median(gaps))
-    # Positions may come rounded to 0.1 mm, which moves a gap by up to that much.
+    # Positions may be rounded to 0.1 mm, which changes a gap by up to 0.1 mm.
     tolerance = min(0.11, 0.2 * usual)
     worst = int(np.argmin(gaps))
     if gaps[worst] <= 0.01:
@@ -156,12 +159,12 @@ def _equal_step(folder: Path, slices: list[_Slice], heights: Float[ndarray, " n"
 
 
 def _check_upright(folder: Path, slices: list[_Slice], normal: Float[ndarray, "3"]) -> None:
-    """A slice must lie straight above the first one: a tilted gantry shifts each a little further."""
+    """Check that all slices lie straight above the first one; a tilted gantry shifts each slice a little further."""
     way = np.stack([s.position for s in slices]) - slices[0].position
     height = float(way[-1] @ normal)
     lateral = np.linalg.norm(way - np.outer(way @ normal, normal), axis=1)
     worst = int(np.argmax(lateral))
-    # Directions come rounded to some 4 digits, which looks like a shift of that share of the height.
+    # Directions are rounded to about 4 digits, which looks like a shift in proportion to the height.
     if lateral[worst] > max(0.1, 1e-3 * height):
         tilt = np.degrees(np.arctan2(lateral[worst], way[worst] @ normal))
         raise RegtorchError(

@@ -1,4 +1,4 @@
-"""The kind of a file, and other libraries' messages about it."""
+"""The kind of a file, and silence for the libraries that read it."""
 
 import os
 import sys
@@ -10,7 +10,7 @@ from regtorch.errors import RegtorchError
 
 
 def is_dicom(path: Path) -> bool:
-    """Whether the file has DICOM's preamble."""
+    """Whether the file has DICOM's preamble. Raises ``RegtorchError`` for a file that cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(132)[128:] == b"DICM"
@@ -20,7 +20,7 @@ def is_dicom(path: Path) -> bool:
 
 @contextmanager
 def native_silence() -> Iterator[None]:
-    """Drops messages of C++ libraries on the process's standard error; they raise the important ones as well."""
+    """Discards messages of C++ libraries on standard error; the libraries raise an exception for every real error."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

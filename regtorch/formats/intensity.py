@@ -1,9 +1,9 @@
-"""The meaning of stored values for the beam, and line integrals from them.
+"""The relation of stored values to the intensity of the beam, and line integrals from them.
 
-DICOM PS3.3 C.8.11.3.1.2 (DX) and C.8.7.1 (XA, RF): PixelIntensityRelationship is LIN (proportional to the beam's
-intensity), LOG (to its logarithm) or DISP (made for display); PixelIntensityRelationshipSign is 1 where lower values
-mean less beam and -1 where higher values do. The relationship speaks of the stored values. PhotometricInterpretation
-only says how to show them: MONOCHROME1 shows low values white.
+DICOM PS3.3 C.8.11.3.1.2 (DX) and C.8.7.1 (XA, RF) define two attributes of the stored values.
+PixelIntensityRelationship is LIN (proportional to the beam's intensity), LOG (to its logarithm) or DISP (made for
+display). PixelIntensityRelationshipSign is 1 if lower values mean less beam, -1 if higher values mean less beam.
+PhotometricInterpretation says only how to show the values: MONOCHROME1 shows low values white.
 
 | stated                                    | grows with the beam?        | -log? |
 |-------------------------------------------|-----------------------------|-------|
@@ -11,8 +11,8 @@ only says how to show them: MONOCHROME1 shows low values white.
 | no sign, LIN or LOG (XA, RF)              | yes                         | if LIN, likewise                        |
 | no sign, DISP or nothing (CR, capture)    | MONOCHROME1 yes, 2 no       | no    |
 
-FOR PRESENTATION has been through the maker's processing, which ends in values for a display and not in counts. CR has
-none of these attributes: its values are of the same kind, so bone is taken to be shown white.
+FOR PRESENTATION images have been processed by the manufacturer into values for display, not counts. CR has none of
+these attributes. Its values are meant for display too, so bone is taken to be shown white.
 """
 
 from dataclasses import dataclass
@@ -30,9 +30,14 @@ INTENSITIES = ("auto", "line", "counts")
 
 @dataclass(frozen=True)
 class Meaning:
-    """Whether values grow with the beam, whether they are counts, and from where counts fall that do not grow.
+    """The relation of values to the beam.
 
-    ``of_stored`` says that this holds of the values as stored and not after RescaleSlope, whose sign turns them.
+    Args:
+        grows: Whether values grow with the beam.
+        counts: Whether values are proportional to the beam's intensity, so that a logarithm is needed.
+        top: Value without beam, for counts that fall as the beam grows.
+        of_stored: Whether this holds for the stored values; if not, for the values times RescaleSlope.
+        warnings: Doubts about the relation, one line each.
     """
 
     grows: bool
@@ -43,13 +48,13 @@ class Meaning:
 
 
 def check_intensity(intensity: str) -> None:
-    """Raises ``RegtorchError`` for a word outside ``INTENSITIES``."""
+    """Raise ``RegtorchError`` unless ``intensity`` is one of ``INTENSITIES``."""
     if intensity not in INTENSITIES:
         raise RegtorchError(f"intensity {intensity!r}: expected one of {', '.join(INTENSITIES)}")
 
 
 def dicom_meaning(header: Dataset, intensity: str) -> Meaning:
-    """The table above for one file; ``line`` and ``counts`` overrule its last column."""
+    """Apply the module's table to one file; an ``intensity`` of ``line`` or ``counts`` overrules its last column."""
     relation = str(header.get("PixelIntensityRelationship") or "absent").upper()
     stated = number(header, "PixelIntensityRelationshipSign")
     sign = stated if stated in (1, -1) else None
@@ -87,21 +92,26 @@ class _Shown:
             warnings.append(
                 "LIN but FOR PRESENTATION: taken as processed for a display, so no logarithm (else say counts)"
             )
-        return Meaning(grows, linear and not self.for_display, top, warnings=tuple(filter(None, warnings)))
-
-    def _contradiction(self, sign: float | None) -> str:
-        """Of sign and photometric interpretation; empty where the file is expected to show bone black."""
-        if self.for_display and sign is not None:
-            return f"PixelIntensityRelationshipSign makes {self.monochrome} show bone black: the sign is believed"
-        if sign is None and not self.fluoroscopy:
-            return (
-                f"PixelIntensityRelationship {self.relation} has no sign: {self.monochrome} is taken to show bone black"
+        return Meaning(grows, counts=False, top=top, of_stored=False, warnings=tuple(warnings))
+    grows = sign != -1
+    if grows != (monochrome == "MONOCHROME1"):
+        if for_display and sign is not None:
+            warnings.append(f"PixelIntensityRelationshipSign makes {monochrome} show bone black: the sign is used")
+        elif sign is None and header.get("Modality") not in ("RF", "XA"):
+            warnings.append(
+                f"PixelIntensityRelationship {relation} has no sign: {monochrome} is taken to show bone black"
             )
-        return ""
+    counts = relation == "LIN" and not for_display and intensity == "auto"
+    if relation == "LIN" and for_display and intensity == "auto":
+        warnings.append("LIN but FOR PRESENTATION: taken as processed for display, no logarithm (else say counts)")
+    return Meaning(grows, counts, top, warnings=tuple(warnings))
 
 
 def line_integrals(values: Shaped[ndarray, "h w"], meaning: Meaning) -> Float[ndarray, "h w"]:
-    """Bone-bright line integrals up to gain and offset: -log of counts, anything else as it is within 0..1."""
+    """Bone-bright line integrals up to gain and offset: -log of counts; other values scaled to 0..1.
+
+    Raises ``RegtorchError`` for counts without a pixel above 0.
+    """
     values = values.astype(np.float32)
     if meaning.counts:
         beam = values if meaning.grows else meaning.top - values
@@ -109,7 +119,7 @@ def line_integrals(values: Shaped[ndarray, "h w"], meaning: Meaning) -> Float[nd
         if not positive.size:
             raise RegtorchError("no pixel above 0, expected counts of a beam")
         full = float(np.quantile(positive[:: max(1, positive.size // 100_000)], 0.999))
-        # Half the least count stands for none, as a logarithm needs something.
+        # Half the smallest positive count replaces 0, which has no logarithm.
         return -np.log(np.maximum(beam, max(0.5 * float(positive.min()), 1e-6 * full)) / full)
     low, high = float(values.min()), float(values.max())
     span = (high - low) or 1.0

@@ -1,5 +1,7 @@
-"""Faults that NIfTI's C reader passes over in silence: it fills a cut file with zeros, turns NaN into 0, and chooses
-where a header tells two places."""
+"""Checks of NIfTI files for faults that the C reader hides.
+
+The reader fills a truncated file with zeros, turns NaN into 0, and picks one of two contradictory positions.
+"""
 
 import gzip
 import zlib
@@ -17,10 +19,10 @@ _BLOCK = 1 << 22
 
 
 def check_nifti(path: Path) -> tuple[str, ...]:
-    """Faults of the header, one line each.
+    """Warnings about the header, one line each.
 
-    Raises ``RegtorchError`` for a file that is cut short or damaged. It also does for values that are not finite, and
-    for voxels of two sizes or in two places.
+    Raises ``RegtorchError`` for a truncated or damaged file, for values that are not finite, and for a header that
+    states two voxel sizes or two positions.
     """
     opener = gzip.open if path.name.lower().endswith(".gz") else open
     try:
@@ -58,7 +60,7 @@ def _check(path: Path, file: BufferedIOBase) -> tuple[str, ...]:
 
 
 def _check_place(path: Path, header: bytes, order: str, version: int, size: Shaped[np.ndarray, "3"]) -> tuple[str, ...]:
-    """The NIfTI standard's method 2 (qform, of ``pixdim`` and a quaternion) and method 3 (sform, an affine matrix)."""
+    """Compare the standard's method 2 (qform: ``pixdim`` and a quaternion) with method 3 (sform: an affine matrix)."""
     kind, code_kind, places = ("f4", "i2", (76, 252, 256, 280)) if version == 1 else ("f8", "i4", (104, 344, 352, 400))
     pixdim = np.frombuffer(header, order + kind, 8, places[0]).astype(float)
     qform, sform = np.frombuffer(header, order + code_kind, 2, places[1]).tolist()
@@ -90,18 +92,18 @@ def _check_place(path: Path, header: bytes, order: str, version: int, size: Shap
                 f"{path}: sform and qform put voxels up to {apart:.3g} mm apart, expected one place (the other code 0)"
             )
     if sform <= 0 and qform <= 0:
-        return ("no orientation is stated (qform and sform codes are 0): rows are taken to run to the left, then back",)
+        return ("no orientation is stated (qform and sform codes are 0): rows are taken to run left, columns back",)
     return ()
 
 
 def _upright(axes: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether columns are at 90 degrees; others the reader refuses."""
+    """Whether the columns are orthogonal; the reader refuses other matrices."""
     cosines = axes.T @ axes / np.outer(*[np.linalg.norm(axes, axis=0)] * 2)
     return bool(np.abs(cosines - np.eye(3)).max() < 1e-3)
 
 
 def _kind(header: bytes) -> tuple[str, int]:
-    """Byte order and version, 0 for a file that is not NIfTI."""
+    """Byte order and version; version 0 means that the header is not NIfTI."""
     for order in "<>":
         size = int(np.frombuffer(header, order + "i4", 1)[0]) if len(header) >= 352 else 0
         if size == 348 or (size == 540 and len(header) == 540):

@@ -1,4 +1,4 @@
-"""``write_radiograph``: 16-bit files that ``read_radiograph`` reads back, the same bytes for the same image."""
+"""``write_radiograph``: 16-bit files that ``read_radiograph`` reads back; equal images give equal bytes."""
 
 import json
 from pathlib import Path
@@ -30,9 +30,18 @@ def write_radiograph(
     sdd_mm: float | None = None,
     view: str | None = None,
 ) -> None:
-    """Line integrals seen from the source, over the whole range of 16 bits, as ``.tiff``, ``.png`` or ``.dcm`` (DX).
+    """Write line integrals seen from the source as 16-bit ``.tiff``, ``.png`` or ``.dcm`` (DX).
 
-    Pixel size, SDD and view go into the header; gain and offset are lost.
+    The values are stretched to the whole range, so gain and offset are lost. The header holds pixel size, SDD and
+    view. Raises ``RegtorchError`` for an image of the wrong shape or with values that are not finite, a cropped
+    detector, or another suffix.
+
+    Args:
+        path: File to write; its suffix chooses the format.
+        image: Line integrals, bone bright.
+        detector: The whole detector, centred on (0, 0).
+        sdd_mm: Source-detector distance, if known.
+        view: View of the patient, if known.
     """
     path = Path(path)
     if tuple(image.shape) != (detector.rows, detector.columns):

@@ -1,4 +1,4 @@
-"""``read_radiograph``: any file of one radiograph, turned to be seen from the source, bone bright."""
+"""``read_radiograph``: reads a file of one radiograph and turns it to the view from the source, bone bright."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ from regtorch.imaging.orientation import pixel_axes, turned
 from regtorch.imaging.radiograph import Radiograph
 
 METADATA_KEY = "regtorch"
-"""Of the text in a PNG; in a TIFF the same JSON object is the ImageDescription."""
+"""Key of the JSON text in a PNG; in a TIFF the same text is the ImageDescription."""
 
 
 def read_radiograph(
@@ -34,12 +34,20 @@ def read_radiograph(
     mirrored: bool | None = None,
     mask: str | Path | Shaped[Tensor, "rows columns"] | None = None,
 ) -> Radiograph:
-    """One radiograph from DICOM (CR, DX, RF, XA), PNG or TIFF.
+    """Read one radiograph from DICOM (CR, DX, RF, XA), PNG or TIFF.
 
-    ``pixel_mm`` is the detector's and overrules the file. ``intensity`` says whether values are ``line`` integrals
-    (bone bright), as a PNG or TIFF is taken to be, or ``counts`` of the beam; DICOM says it itself. ``mirrored`` says
-    whether the file shows the image as seen towards the source, and overrules PatientOrientation. ``mask`` has the
-    size of the file's image; 0 is not used, the rest by its weight of up to 1 (booleans, fractions) or 255 (integers).
+    Raises ``RegtorchError`` for a file that is not a single readable grey image, for an unknown pixel size, and for
+    values that are not finite.
+
+    Args:
+        path: The file.
+        view: How the patient stands at zero rotation: PA, AP, LLAT (or LAT), RLAT.
+        pixel_mm: Pixel size in the detector plane; overrules the file.
+        intensity: ``line`` for line integrals (bone bright) or ``counts`` of the beam. With ``auto``, DICOM states it
+            and PNG and TIFF hold line integrals.
+        mirrored: Whether the file shows the image as seen towards the source; overrules PatientOrientation.
+        mask: Weights of the pixels, oriented as in the file; 0 excludes a pixel. The full weight is 1 for booleans and
+            fractions, 255 for integers.
     """
     path = Path(path)
     world_from_patient_axes(view)
@@ -72,7 +80,7 @@ def read_radiograph(
 
 
 def _without_unused(stored: StoredRadiograph) -> Shaped[ndarray, "h w"]:
-    """Padding and shutters look as if no beam had come through; they tell nothing of the other pixels."""
+    """Values with unused pixels set to the value of least beam, so that they do not affect the others."""
     if stored.unused is None or not stored.unused.any() or stored.unused.all():
         return stored.values
     used = stored.values[~stored.unused]
@@ -130,8 +138,7 @@ def _plain(path: Path, view: str, intensity: str, pixel_mm: float | None) -> Sto
 
 
 def _metadata(text: str) -> dict:
-    """The metadata of ``write_radiograph``; a foreign file's resolution in dpi is that of a printout and is not
-    asked."""
+    """Metadata from ``write_radiograph``; the dpi of other files describe a printout and are ignored."""
     try:
         found = json.loads(text)
     except ValueError:
@@ -140,7 +147,7 @@ def _metadata(text: str) -> dict:
 
 
 def _grey(path: Path) -> tuple[Shaped[ndarray, "h w"], str, list[str]]:
-    """Values of a PNG or TIFF with one grey channel, its text, and its faults."""
+    """Values of a PNG or TIFF with one grey channel, its text, and warnings about it."""
     if not path.is_file():
         raise RegtorchError(f"{path}: no such file, expected a PNG or TIFF image")
     suffix = path.suffix.lower()
@@ -151,7 +158,7 @@ def _grey(path: Path) -> tuple[Shaped[ndarray, "h w"], str, list[str]]:
             return _png(path)
     except RegtorchError:
         raise
-    except Exception as error:  # a broken file may raise anything
+    except Exception as error:  # decoders raise many kinds of exceptions for a broken file
         raise RegtorchError(
             f"{path}: cannot be read ({one_line(error)}), expected a whole {suffix[1:]} file"
         ) from error

@@ -1,4 +1,4 @@
-"""Named points in the patient, read from CSV or from files of 3D Slicer: ``.mrk.json`` and the older ``.fcsv``."""
+"""Named points in the patient, from CSV files or from 3D Slicer (``.mrk.json`` and the older ``.fcsv``)."""
 
 import csv
 import io
@@ -15,17 +15,18 @@ Point = tuple[float, float, float]
 
 _EXPECTED = "a CSV file of name,x,y,z in LPS mm, or points that 3D Slicer saved as .mrk.json or .fcsv"
 _LPS_SIGN = {"LPS": 1, "1": 1, "RAS": -1, "0": -1}
-"""Of x and y, by the name of the coordinates, which is a number in files of Slicer before 4.11."""
+"""Sign of x and y for each name of the coordinate system; files of Slicer before 4.11 have a number as the name."""
 
 _FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 _FCSV_DEFINED = "2"
 
 
 def read_points(path: str | Path) -> dict[str, Point]:
-    """Named points (LPS mm) of a file of 3D Slicer (``.json``, ``.fcsv``), or else of a CSV file of name,x,y,z.
+    """Read named points (LPS mm) from a file of 3D Slicer (``.json``, ``.fcsv``) or a CSV file of name,x,y,z.
 
-    RAS is turned to LPS. A point without a name gets its number in the file: ``point 3``. Raises ``RegtorchError``
-    for other coordinates or units, a name that comes again, and a point without three numbers or never placed.
+    RAS coordinates are converted to LPS. A point without a name is named by its number in the file: ``point 3``.
+    Raises ``RegtorchError`` for other coordinate systems or units, repeated names, points without three numbers, and
+    points that were never placed.
     """
     path = Path(path)
     read = {".json": _json_points, ".fcsv": _fcsv_points}.get(path.suffix.lower(), _csv_points)
@@ -47,7 +48,7 @@ def read_points(path: str | Path) -> dict[str, Point]:
     return points
 
 
-# Each reader gives, for every point: where it stands in the file, its name, its place.
+# Each reader yields, for every point, its position in the file, its name and its coordinates.
 
 
 def _csv_points(text: str) -> Iterator[tuple[str, str, Point]]:
@@ -67,7 +68,7 @@ def _fcsv_points(text: str) -> Iterator[tuple[str, str, Point]]:
     for number, line in enumerate(lines, 1):
         if line.startswith("#") or not line.strip():
             continue
-        # Slicer 5 puts the position's status behind the last column, without naming it.
+        # Slicer 5 appends the status of the position as an unnamed last column.
         entry = dict(zip([*columns, "status"], next(csv.reader([line])), strict=False))
         told = f"line {number} is {one_line(line)!r}"
         if entry.get("status", _FCSV_DEFINED) != _FCSV_DEFINED:
@@ -110,11 +111,11 @@ def _lps_sign(system: Any) -> int:
 
 
 def _point(told: str, numbers: Any, sign: int = 1) -> Point:
-    """Three numbers in LPS mm, whose x and y may have to change ``sign``; ``told`` begins the message about others."""
+    """The point in LPS mm: ``sign`` multiplies x and y; ``told`` begins the error message."""
     try:
         x, y, z = map(float, numbers)
     except (TypeError, ValueError, OverflowError):
         x = y = z = math.nan
     if isinstance(numbers, str) or not math.isfinite(x + y + z):
         raise RegtorchError(f"{told}, expected a name and x, y, z in mm")
-    return sign * x + 0.0, sign * y + 0.0, z  # 0.0 makes -0.0 plain again
+    return sign * x + 0.0, sign * y + 0.0, z  # adding 0.0 turns -0.0 into 0.0

@@ -1,4 +1,4 @@
-"""CTs in and out of files: ``read_volume`` reads every format, ``write_volume`` writes SimpleITK's."""
+"""Files of CTs: ``read_volume`` reads every format, ``write_volume`` writes NIfTI, NRRD and MHA."""
 
 from pathlib import Path
 
@@ -18,9 +18,9 @@ _SHEARED = "axes that are not at 90 degrees (a gantry tilt?), expected a resampl
 
 
 def read_volume(path: str | Path) -> Volume:
-    """A CT in HU (float32) from a DICOM folder of one series, NIfTI, NRRD or MHA.
+    """Read a CT in HU (float32) from NIfTI, NRRD, MHA or a DICOM folder of one series.
 
-    Raises ``RegtorchError`` for anything but one whole, evenly spaced, finite volume.
+    Raises ``RegtorchError`` unless the file holds one complete, evenly spaced volume of finite values.
     """
     path = Path(path)
     if not path.exists():
@@ -40,7 +40,10 @@ def read_volume(path: str | Path) -> Volume:
 
 
 def write_volume(path: str | Path, volume: Volume) -> None:
-    """Writes values and place as NIfTI, NRRD or MHA, by the suffix; compressed but for ``.nii``."""
+    """Write values and position as NIfTI, NRRD or MHA, by the suffix; all but ``.nii`` are compressed.
+
+    Raises ``RegtorchError`` for another suffix.
+    """
     path = Path(path)
     suffix = next((s for s in reversed(SUFFIXES) if path.name.lower().endswith(s)), None)
     if suffix is None:
@@ -82,11 +85,11 @@ def _read_file(path: Path) -> Volume:
 
 
 def _nrrd_warnings(path: Path) -> tuple[str, ...]:
-    """Of the text before the voxels, which ends with an empty line."""
+    """Warnings about the text header, which ends with an empty line."""
     if not path.name.lower().endswith(".nrrd"):
         return ()
     with path.open("rb") as file:
         header = iter(lambda: file.readline(1 << 16).strip(), b"")
         if any(line.lower().startswith(b"space:") for line in header):
             return ()
-    return ("no orientation is stated (no 'space'): rows are taken to run to the left, then back",)
+    return ("no orientation is stated (no 'space'): rows are taken to run left, columns back",)

@@ -1,4 +1,4 @@
-"""CT and radiograph in memory: made into line integrals and attenuation, and checked."""
+"""CT and radiograph in memory: prepared for registration, and checked."""
 
 from regtorch.imaging.averaging import coarsen
 from regtorch.imaging.checks import check_radiograph, check_volume

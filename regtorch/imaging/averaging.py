@@ -1,4 +1,4 @@
-"""Exact area averaging onto a coarser grid, one axis at a time: both pyramids are made by it."""
+"""Exact area averaging onto a coarser grid, one axis at a time; both pyramids use it."""
 
 import math
 from dataclasses import replace
@@ -13,9 +13,9 @@ from regtorch.imaging.volume import Volume
 
 
 def overlaps(old: int, new: int, ratio: float) -> Float[Tensor, "new old"]:
-    """How much of each new cell each old cell fills, for ``new`` cells of ``ratio`` old ones about the same centre.
+    """Share of each new cell that each old cell fills, for two grids with the same centre.
 
-    Rows sum to 1 where the old grid reaches, to less at a border where it does not.
+    A new cell is ``ratio`` old cells wide. A row sums to 1, or to less at a border that the old grid does not reach.
     """
     edges = (torch.arange(new + 1, dtype=torch.float64) - new / 2) * ratio + old / 2
     cells = torch.arange(old, dtype=torch.float64)
@@ -24,17 +24,17 @@ def overlaps(old: int, new: int, ratio: float) -> Float[Tensor, "new old"]:
 
 
 def coarsen(volume: Volume, spacing_mm: float, *, least_ratio: float = 1.0) -> Volume:
-    """Averages onto voxels of ``spacing_mm`` along each axis that is finer, about the same centre; linear along these.
+    """Average onto voxels of ``spacing_mm`` along each axis with finer voxels; the centre stays.
 
-    An axis whose voxels would not become more than ``least_ratio`` times as large stays as it is.
-
-    The count is rounded up, with air around the volume, so that its mass is kept and nothing at its border is lost.
+    An axis stays as it is unless its voxels become more than ``least_ratio`` times as large. Averaged axes have a
+    ``sharpness`` of 1. The number of voxels is rounded up, with air around the volume. This keeps the total mass and
+    the border. Raises ``RegtorchError`` unless ``spacing_mm`` is positive and finite.
     """
     if not 0 < spacing_mm < math.inf:
         raise RegtorchError(f"voxels of {spacing_mm} mm: expected a positive size")
     data = volume.data if volume.unit == "per_mm" else volume.data - AIR_HU
     voxel_from_coarse = torch.eye(4, dtype=torch.float64)
-    # Slices first: that pass is a plain weighted sum and leaves least for the two matrix products.
+    # Slices first: this pass is a plain weighted sum, and it leaves the least work for the two matrix products.
     for axis, old_mm in zip((-3, -2, -1), volume.spacing_mm.flip(0).tolist(), strict=True):
         ratio, old = spacing_mm / old_mm, data.shape[axis]
         if ratio <= least_ratio + 1e-9:

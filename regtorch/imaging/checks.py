@@ -1,7 +1,6 @@
-"""Faults of a CT or a radiograph, one line each.
+"""Checks of a CT and of a radiograph: one line for each fault, none for a sound image.
 
-Each test states a condition that no sound image meets. The limits were set on DRRs of three CTs (PA and LAT, bone alone
-and everything, many poses) and leave a margin to all of them.
+The limits were set on DRRs of three CTs (PA and LAT, bone alone and all tissue, many poses), with a margin.
 """
 
 import torch
@@ -17,29 +16,29 @@ _TISSUE_HU, _PADDING_HU = -300, -1500
 
 
 def check_volume(volume: Volume) -> list[str]:
-    """Faults of a CT in HU, one line each."""
+    """Warnings about a CT in HU: those from reading it, then one line for each fault of its values and voxels."""
     found = list(volume.warnings)
     every = max(1, volume.data.numel() // 250_000)
     values = volume.data.flatten()[::every].cpu()
     lowest, highest = (float(v) for v in values.quantile(torch.tensor([0.005, 0.999], dtype=values.dtype)))
     air = float((values < -500).float().mean())
-    # Fat lies near -100 HU and every torso has some, so HU without values well below 0 there are not.
+    # Every torso has fat, at about -100 HU, so some values in HU must lie well below 0.
     if lowest > -50:
         found.append(f"no HU offset? The lowest values are about {lowest:.0f}, where fat has -100 and air -1000 HU")
     elif air < 0.01:
         found.append(f"nearly no air ({100 * air:.1f} % of the voxels): a CT cropped within the body, or no HU")
     if air > 0.99:
         found.append(f"nearly empty: {100 * air:.1f} % of the voxels are air")
-    # The densest thousandth of any bone that a radiograph shows is beyond 300 HU, contrast or not.
+    # In every CT whose bone a radiograph shows, the densest thousandth exceeds 300 HU, with or without contrast agent.
     elif highest < 200:
         found.append(f"no bone: the highest values are about {highest:.0f} HU, where bone has 300 and more")
     elif len(found) == len(volume.warnings) and (cut := _cut_at_the_sides(volume)) > 0.4:
         share = f"{100 * cut:.0f} % of the lines through it end there"
-        found.append(f"the body is cut at a side ({share}): only to head and foot the search lets it go on")
+        found.append(f"the body is cut at a side ({share}): the search continues it to head and foot only")
     sizes = volume.spacing_mm.tolist()
     if min(sizes) < 0.1 or max(sizes) > 5.01:
         size = " x ".join(f"{s:g}" for s in sizes)
-        found.append(f"voxels of {size} mm: expected 0.1 to 5 mm, as thicker slices blur what is registered")
+        found.append(f"voxels of {size} mm: expected 0.1 to 5 mm, because thicker slices blur the anatomy")
     thickness = volume.slice_thickness_mm
     if thickness is not None and 0 < thickness < 0.95 * sizes[2]:
         found.append(f"gaps between slices: {thickness:g} mm thick but {sizes[2]:g} mm apart")
@@ -47,9 +46,9 @@ def check_volume(volume: Volume) -> list[str]:
 
 
 def check_radiograph(radiograph: Radiograph, *, sdd_known: bool = False) -> list[str]:
-    """Warnings of the reader, and faults of the image as line integrals, bone bright.
+    """Warnings about a radiograph: those from reading it, then one line for each fault of its geometry and values.
 
-    An SDD that is known from elsewhere is not missed in the file.
+    The image must hold line integrals, bone bright. With ``sdd_known`` an SDD missing in the file is no fault.
     """
     found = list(radiograph.warnings)
     found += _check_geometry(radiograph, sdd_known)
@@ -69,9 +68,9 @@ def check_radiograph(radiograph: Radiograph, *, sdd_known: bool = False) -> list
 
 
 def _cut_at_the_sides(volume: Volume) -> float:
-    """The share of lines across the body that have tissue where the CT or its padding ends.
+    """Share of the lines across the body that still have tissue where the CT ends, or where its padding begins.
 
-    The largest of the four sides. A couch or an arm alone has up to a fifth.
+    The result is the largest share of the four sides. A couch or an arm alone makes up to a fifth.
     """
     along = 2 - volume.along_body
     shares = [0.0]
@@ -95,7 +94,7 @@ def _check_geometry(radiograph: Radiograph, sdd_known: bool) -> list[str]:
         found.append(f"source-detector distance (SDD) of {radiograph.sdd_mm:g} mm: expected {low:g} to {high:g} mm")
     pixel = radiograph.detector.pixel_mm
     width, height = radiograph.detector.columns * pixel, radiograph.detector.rows * pixel
-    # Cassettes and flat panels are up to 43 cm wide, long-leg and EOS images up to 2 m long; a dental film has 3 cm.
+    # Cassettes and flat panels are up to 43 cm wide, long-leg and EOS images up to 2 m long, dental films 3 cm.
     if min(width, height) > 650 or max(width, height) > 2200 or max(width, height) < 30:
         found.append(f"pixels of {pixel:g} mm make a detector of {width:.0f} x {height:.0f} mm: is their size right?")
     return found
@@ -112,7 +111,7 @@ def _check_grey(values: Float[Tensor, " n"]) -> list[str]:
     levels = len(some.unique())
     if levels <= 64 < len(some):
         return [f"only {levels} grey levels: expected a radiograph of 10 bits or more"]
-    # Air at the lower end may well be one value; the densest bone is never an area of one value.
+    # Air at the lower end may have a single value; an area of dense bone never has.
     topped = float((values == high).float().mean())
     if topped > 0.01:
         return [f"grey range cut off: {100 * topped:.0f} % of the pixels have the highest value"]
@@ -128,7 +127,7 @@ def _check_tone(image: Float[Tensor, "h w"]) -> list[str]:
     image = (image - image.min()) / (image.max() - image.min()).clamp(min=1e-12)
     border = torch.cat([image[0], image[-1], image[:, 0], image[:, -1]])
     top, at_border = (float((v > 0.98).double().mean()) for v in (image, border))
-    # Only air is a flat area that reaches the border, and it is dark; DRRs have under 1 % and 2 % there.
+    # Only air makes a flat area that reaches the border, and air is dark. DRRs have less than 1 % and 2 % here.
     if top > 0.03 and at_border > 0.05:
         share = f"{100 * top:.0f} % of the image"
         return [f"inverted or not logarithmic? The brightest tone fills {share} and reaches its border, as air would"]
@@ -141,9 +140,10 @@ def _check_tone(image: Float[Tensor, "h w"]) -> list[str]:
     thin, thick = torch.quantile(mean, torch.tensor([1 / 3, 2 / 3], dtype=mean.dtype))
     contrast = float(spread[mean > thick].median() / spread[mean < thin].median().clamp(min=1e-12))
     level = float(mean[mean > thick].median())
-    # 1 - exp(-L) crowds the thick parts at the top and takes their contrast; line integrals reach 0.88 and keep 0.2.
+    # 1 - exp(-L) crowds thick parts at the top of the range and removes their contrast. Line integrals reach a level
+    # of 0.88 and keep a contrast of 0.2.
     if level > 0.92 and contrast < 0.25:
         return [
-            "not logarithmic? The thick parts have next to no contrast, as in counts of the beam (--intensity counts)"
+            "not logarithmic? The thick parts have almost no contrast, as in counts of the beam (--intensity counts)"
         ]
     return []

@@ -1,4 +1,4 @@
-"""Where the beam fell: the rectangle that collimators leave, found only where it shows beyond doubt."""
+"""The exposed field: the rectangle between the collimators, cut out only where it shows beyond doubt."""
 
 from dataclasses import dataclass
 
@@ -8,41 +8,43 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool1d, pad
 
 Box = tuple[int, int, int, int]
-"""First and last + 1 row, first and last + 1 column."""
+"""First row, last row + 1, first column, last column + 1."""
 
 _COARSE = 256
-"""Longer side, in pixels, at which collimator edges are looked for: noise is gone, half shadows are narrow."""
+"""Longer side, in pixels, of the image in which edges are sought: noise averages out, half shadows are narrow."""
 _SHORTEST = 128
-"""Shorter side below which a diaphragm or a bone's shaft may pass for a straight edge."""
+"""Least shorter side, in pixels; in a narrower image a diaphragm or a bone's shaft may pass for a straight edge."""
 _DEEPEST = 0.45
-"""How far in a collimator may reach, as a share of the image."""
+"""Greatest depth of a collimator, as a share of the image."""
 _TILT = 5
 """Pixels by which an edge may rise or fall from one end to the other: about one degree."""
 _APART = 6
-"""Pixels to lines on both sides, across which brightness must fall less than across an edge."""
+"""Distance, in pixels, to the two parallel lines across which brightness must fall less than across an edge."""
 _SHARES = (0.45, 0.45, 0.85, 0.85)
-"""Of an edge where it must be one, in turn: an edge shows within the field that the other three leave, so that all are
-first guessed, and then each must hold."""
+"""Share of its length along which a line must look like an edge, one value for each round over the four sides.
+
+An edge shows only within the field that the other three edges leave. Early rounds guess, later rounds confirm."""
 _WEAKEST = 0.1
-"""Mean drop of an edge, as a share of the grey range: that of a patient table's shadow is up to 0.09."""
+"""Least mean drop across an edge, as a share of the grey range; the shadow of a patient table drops by up to 0.09."""
 _LEAST_RANGE = 0.06
-"""Of the remaining field, as a share of the whole image's: the field must show anatomy, and air shows none."""
+"""Least grey range inside the field, as a share of the whole image's; anatomy has it, air has not."""
 _MOST_STRUCTURE = 1.5
-"""Beyond an edge, of that in the field: up to 1.2 with collimators, from noise; 14 where a straight spine is cut."""
+"""Most structure outside an edge, relative to the field; noise behind collimators has 1.2, a cut straight spine 14."""
 _NEARLY_ALL = 0.2
-"""The quantile beyond an edge that is brighter than the field beside it: air further out is not."""
+"""This quantile of the brightness outside an edge must exceed the inside next to the edge; air outside fails this."""
 _TRIED = 20
-"""Lines, the likeliest first."""
+"""Number of lines tried as an edge, the likeliest first."""
 _LETTERS = 0.1
-"""Of the field's own share of a row or column, below which it is not the field that is seen beside a shutter."""
+"""Rows and columns that differ from a shutter in less than this share of the field's maximum hold letters only."""
 
 
 def exposed_field(image: Float[Tensor, "h w"]) -> Box:
-    """The exposed rectangle of a bone-bright image; all of it where no collimator is seen.
+    """The exposed rectangle of a bone-bright image, or the whole image where no collimator shows.
 
-    Lead keeps the beam away, but not the patient's scatter: along the whole straight edge the image falls from
-    brighter, out to the border, more steeply than beside it, which anatomy hardly ever does. Dark borders are air and
-    stay, unless they are one constant around a filled rectangle, which is a shutter burnt in.
+    Lead stops the beam but not the scatter from the patient. The image behind a collimator is brighter than the field,
+    out to the border. Along the whole straight edge brightness falls more steeply than beside it, as it hardly ever
+    does in anatomy. Dark borders are air and stay, except for a shutter burnt into the image: one constant value
+    around a filled rectangle.
     """
     r0, r1, c0, c1 = box = _burnt_in(image)
     inner = image[r0:r1, c0:c1]
@@ -69,11 +71,14 @@ def exposed_field(image: Float[Tensor, "h w"]) -> Box:
 
 @dataclass(frozen=True)
 class _Side:
-    """An image turned so that one of its sides is on top, and its lines as edges of a collimator there.
+    """An image turned so that one side is on top, and its candidate lines for a collimator's edge on that side.
 
-    Line r of a tilt is ``shift`` pixels below row r. ``drop`` is the fall of the image across a line, from two pixels
-    well above it to two well below. ``steepest`` says whether it falls less across the lines ``_APART`` above and
-    below.
+    Args:
+        image: The turned image.
+        shift: Pixels by which a tilted line r lies below row r, for each tilt and column.
+        drop: Fall in brightness across a line, from two pixels above it to two below; the pixels beside it are left
+            out.
+        steepest: Whether brightness falls less across the lines ``_APART`` pixels above and below.
     """
 
     image: Float[Tensor, "h w"]
@@ -97,13 +102,13 @@ class _Side:
         )
 
     def depth(self, share: float, *, opposite: int, ends: list[int]) -> int:
-        """How far in the collimator reaches, 0 without one; the others reach in ``opposite`` and ``ends``."""
+        """Depth of the collimator in pixels, 0 if there is none; ``opposite`` and ``ends`` are the others' depths."""
         rows, along = self.image.shape
         span = slice(ends[0], along - ends[1])
         drop, steepest = self.drop[:, 1 : rows - opposite - 10, span], self.steepest[:, 1 : rows - opposite - 10, span]
         shares = steepest.float().mean(2)
         strength = (drop * steepest).sum(2) / steepest.sum(2).clamp_min(1)
-        straight = 1 - 0.01 * torch.arange(-_TILT, _TILT + 1)[:, None].abs()  # where two tilts do as well
+        straight = 1 - 0.01 * torch.arange(-_TILT, _TILT + 1)[:, None].abs()  # decides between equally good tilts
         score = torch.where((shares > share) & (strength > _WEAKEST), straight * shares * strength, 0).flatten()
         for place in score.argsort(descending=True)[:_TRIED].tolist():
             if float(score[place]) > 0:
@@ -113,7 +118,7 @@ class _Side:
         return 0
 
     def _field_begins(self, tilt: int, line: int, end: int, span: slice, share: float) -> int:
-        """At which row, past the half shadow, if this line is a collimator's edge; else 0."""
+        """Row at which the field begins, past the half shadow; 0 if this line is no collimator's edge."""
         rows = len(self.image)
         below = (torch.arange(rows)[:, None] + self.shift[tilt]).clamp(0, rows - 1)
         image = self.image.gather(0, below)[:, span]
@@ -131,17 +136,17 @@ class _Side:
 
 
 def _structure(part: Float[Tensor, "across along"]) -> float:
-    """Detail along an edge, coarser than noise."""
+    """Strength of the detail along an edge that is coarser than noise."""
     return float((_smooth(part, 5) - _smooth(part, 17)).abs().median())
 
 
 def _smooth(part: Float[Tensor, "across along"], width: int) -> Float[Tensor, "across along"]:
-    """Mean of ``width`` pixels along."""
+    """Running mean of ``width`` pixels along the edge."""
     return avg_pool1d(pad(part[:, None], (width // 2, width // 2), mode="replicate"), width, 1)[:, 0]
 
 
 def _burnt_in(image: Float[Tensor, "h w"]) -> Box:
-    """A shutter's inside, whatever letters there are on the shutter."""
+    """The inside of a burnt-in shutter, or the whole image; letters on the shutter do not matter."""
     whole = (0, image.shape[0], 0, image.shape[1])
     corners = image[[0, 0, -1, -1], [0, -1, 0, -1]]
     if bool((corners != corners[0]).any()):
@@ -153,7 +158,7 @@ def _burnt_in(image: Float[Tensor, "h w"]) -> Box:
     r0, r1, c0, c1 = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
     if (r1 - r0) * (c1 - c0) < 0.1 * image.numel():
         return whole
-    # The field of a shutter differs plainly from it all along its four sides; the shadow of a CT's box does not.
+    # The field inside a shutter differs plainly from it along all four sides; the shadow of a CT's box does not.
     plain = (image - corners[0]).abs() > 0.05 * (image.max() - image.min())
     sides = plain[r0, c0:c1], plain[r1 - 1, c0:c1], plain[r0:r1, c0], plain[r0:r1, c1 - 1]
     filled = all(float(side.float().mean()) > 0.9 for side in sides)

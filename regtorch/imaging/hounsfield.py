@@ -1,4 +1,4 @@
-"""HU to linear attenuation, and the boxes of attenuating voxels."""
+"""HU to linear attenuation, and the boxes that enclose the attenuating voxels."""
 
 from collections.abc import Callable
 
@@ -12,21 +12,23 @@ from regtorch.imaging.volume import Volume
 AIR_HU = -1000.0
 
 BODY_HU = -300.0
-"""The patient lies above, air below; fat has about -100."""
+"""Separates the patient (denser) from air; fat has about -100 HU."""
 
 BONE_HU = 100.0
-"""The paper's threshold T: soft tissue lies below 80 HU, bone above 150."""
+"""The paper's threshold T; soft tissue has less than 80 HU, bone more than 150."""
 
 MU_WATER_PER_MM = 0.02
-"""Of water at about 60 keV, a usual beam's mean energy."""
+"""Attenuation of water at about 60 keV, the mean energy of a usual beam."""
 
 
 def attenuation(
     volume: Volume, *, threshold_hu: float | None = BONE_HU, mu_water_per_mm: float = MU_WATER_PER_MM
 ) -> Volume:
-    """mu = mu_water (1 + HU/1000) per mm, 0 from -1000 HU down (scanners pad with -3024) and below ``threshold_hu``.
+    """Convert HU to mu = mu_water (1 + HU/1000) per mm.
 
-    ``threshold_hu`` leaves bone by default, as the paper does; None keeps everything.
+    Values at or below -1000 HU become 0, because scanners pad with as little as -3024. Values below ``threshold_hu``
+    become 0 too: by default only bone remains, as in the paper. None keeps all tissue. Raises ``RegtorchError`` if the
+    volume is not in HU, if ``mu_water_per_mm`` is not positive, or if nothing attenuates.
     """
     if volume.unit != "HU":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected HU")
@@ -40,22 +42,36 @@ def attenuation(
     return volume.with_data(data, unit="per_mm")
 
 
-def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
-    """Bone as ``attenuation`` leaves it above a threshold, less the attenuation of tissue just at the threshold: bone's
-    contrast.
+def tissue_classes(
+    volume: Volume, *, limits_hu: tuple[float, ...] = (BONE_HU,), mu_water_per_mm: float = MU_WATER_PER_MM
+) -> Volume:
+    """Split the ``attenuation`` of all tissue into classes [c, d, h, w] at limits in HU.
 
-    Bones in a body displace soft tissue, and a radiograph shows them by the difference. Without a threshold, or with
-    one of air, nothing is taken off.
+    The default classes are soft tissue and bone. The classes add up to the whole. A voxel with exactly the value of a
+    limit belongs to the denser class.
+    """
+    whole = attenuation(volume, threshold_hu=None, mu_water_per_mm=mu_water_per_mm)
+    limits = volume.data.new_tensor(sorted(limits_hu))
+    number = torch.bucketize(volume.data, limits, right=True)
+    classes = torch.stack([torch.where(number == c, whole.data, 0) for c in range(len(limits) + 1)])
+    return replace(whole, data=classes)
+
+
+def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
+    """Contrast of bone: its ``attenuation`` minus the attenuation of tissue at the threshold.
+
+    Bone in a body displaces soft tissue, so a radiograph shows only the difference. Nothing is subtracted without a
+    threshold or with the threshold of air.
     """
     soft = 0.0 if threshold_hu is None else max(0.0, MU_WATER_PER_MM * (1 - threshold_hu / AIR_HU))
     return bone.with_data(bone.data.sub(soft).clamp_(min=0)) if soft > 0 else bone
 
 
 def crop_to_anatomy(volume: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
-    """The box of the voxels that ``attenuation`` leaves of a CT in HU, and one voxel around it; the ``ct`` origin
-    stays.
+    """Crop a CT in HU to the voxels that attenuate above the threshold, with a margin of one voxel.
 
-    A view of the CT's own voxels.
+    The origin of the ``ct`` frame stays. The result is a view of the CT's own voxels. Raises ``RegtorchError`` if the
+    volume is not in HU or nothing attenuates.
     """
     if volume.unit != "HU":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected HU")
@@ -71,7 +87,10 @@ def crop_to_anatomy(volume: Volume, *, threshold_hu: float | None = BONE_HU) -> 
 
 
 def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
-    """Corners, in the ``ct`` frame (mm), of the box around all voxels over a threshold; of the CT if none is."""
+    """Corners, in the ``ct`` frame (mm), of the box around all voxels above a threshold.
+
+    If no voxel is above it, the corners are those of the whole CT.
+    """
     box = _box(ct, lambda hu: hu > above_hu) or [(0, n - 1) for n in ct.data.shape]
     corners = torch.cartesian_prod(*(torch.tensor(ends, dtype=torch.float64) for ends in reversed(box)))
     in_patient = corners @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
@@ -79,8 +98,10 @@ def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
 
 
 def _box(ct: Volume, inside: Callable[[Tensor], Tensor]) -> list[tuple[int, int]]:
-    """First and last index along k, j and i of the voxels that are ``inside`` by their HU, as all denser ones are;
-    nothing if none."""
+    """First and last index along k, j and i of the voxels ``inside``; an empty list if there are none.
+
+    ``inside`` takes HU. If it holds for one value, it must hold for every denser one.
+    """
     across = ct.data.amax(0)
     highest = ct.data.flatten(1).amax(1), across.amax(1), across.amax(0)
     found = [inside(line).nonzero().flatten() for line in highest]

@@ -1,4 +1,4 @@
-"""From the way a radiograph is stored to the way it is seen from the source."""
+"""Turns a radiograph from its stored orientation to the view from the source."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ _LETTERS = {"L": (0, 1), "R": (0, -1), "P": (1, 1), "A": (1, -1), "H": (2, 1), "
 
 
 def directions(view: str) -> tuple[str, str]:
-    """DICOM's PatientOrientation of the image seen from the source: where columns and rows run, as letters.
+    """DICOM's PatientOrientation of an image seen from the source: the directions in which columns and rows grow.
 
     >>> directions("PA")
     ('R', 'F')
@@ -29,10 +29,15 @@ def directions(view: str) -> tuple[str, str]:
 def pixel_axes(
     stored: Sequence[str] | None, view: str, mirrored: bool | None, file_columns: int, file_rows: int
 ) -> tuple[Float[Tensor, "3 3"], str | None]:
-    """``stored_from_pixel`` that turns an image whose columns and rows run along ``stored`` into ``view``'s.
+    """The matrix ``stored_from_pixel`` that turns a stored image into ``view``, and a warning or None.
 
-    Only the first letter of a compound direction counts. Directions that this view cannot have leave the image as
-    stored and come with a sentence. ``mirrored`` has the last word on left and right.
+    Args:
+        stored: PatientOrientation of the stored image; only the first letter of a compound direction counts.
+            Directions that ``view`` cannot have leave the image as stored and give the warning.
+        view: View seen from the source.
+        mirrored: Whether the stored image is mirrored left to right; unless None, this overrules ``stored``.
+        file_columns: Width of the stored image in pixels.
+        file_rows: Height of the stored image in pixels.
     """
     wanted = directions(view)
     transposed, flips, complaint = False, (False, False), None
@@ -63,7 +68,7 @@ def pixel_axes(
 
 
 def turned(stored: Shaped[Tensor, "h w"], stored_from_pixel: Float[Tensor, "3 3"]) -> Shaped[Tensor, "h2 w2"]:
-    """The stored image as ``stored_from_pixel`` (of ``pixel_axes``) shows it."""
+    """The stored image turned by ``stored_from_pixel``, a matrix from ``pixel_axes``."""
     transposed = float(stored_from_pixel[0, 0]) == 0
     image = stored.mT if transposed else stored
     row_of_x, row_of_y = (1, 0) if transposed else (0, 1)

@@ -1,4 +1,4 @@
-"""Points on the anatomy, spread evenly: the targets of a CT where nobody named any."""
+"""Points spread evenly over the anatomy: the targets of a CT for which nobody named any."""
 
 import torch
 from jaxtyping import Float
@@ -11,10 +11,10 @@ _GRID_MM = 6.0
 
 
 def spread_points(volume: Volume, n: int) -> Float[Tensor, "n 3"]:
-    """Up to ``n`` places (LPS mm) in the denser half of the attenuating voxels, each as far as can be from all before
-    it.
+    """Up to ``n`` points (LPS mm) in the denser half of the attenuating voxels.
 
-    The first is the one nearest to the middle of them all. Deterministic.
+    The first point is the candidate nearest to the centroid. Each further point lies as far as possible from all
+    points before it. The result is deterministic.
     """
     coarse = coarsen(volume, _GRID_MM)
     dense = coarse.data >= coarse.data[coarse.data > 0].median()

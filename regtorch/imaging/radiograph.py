@@ -1,4 +1,4 @@
-"""The radiograph: line integrals up to gain and offset, seen from the source, and the way back to the file's pixels."""
+"""The radiograph: line integrals up to gain and offset, seen from the source, and the map to the file's pixels."""
 
 from dataclasses import dataclass, replace
 
@@ -13,11 +13,16 @@ from regtorch.imaging.averaging import overlaps
 
 @dataclass(frozen=True)
 class Radiograph:
-    """One X-ray image, bone bright, looking from the source to the detector.
+    """One X-ray image, bone bright, as seen from the source. Raises ``RegtorchError`` for shapes that disagree.
 
-    ``weight`` (0..1) is 0 outside the collimated field and where masked. ``stored_from_pixel`` (float64) maps
-    homogeneous (column, row) of ``image`` to (column, row) of the file. ``detector`` is the file's whole one, centred
-    on (0, 0), until ``level`` crops it. ``warnings`` are the reader's, one line each.
+    Args:
+        image: Line integrals up to gain and offset.
+        detector: The whole detector, centred on (0, 0), until ``level`` crops it.
+        weight: From 0 to 1; 0 outside the collimated field and where masked.
+        stored_from_pixel: Maps homogeneous (column, row) of ``image`` to (column, row) of the file (float64).
+        sdd_mm: Source-detector distance, if the file states it.
+        name: Name of the radiograph in messages.
+        warnings: Faults found while reading, one line each.
     """
 
     image: Float[Tensor, "h w"]
@@ -46,21 +51,22 @@ class Radiograph:
         sdd_mm: float | None = None,
         name: str = "radiograph",
     ) -> "Radiograph":
-        """An image that is already as seen from the source, as a DRR is; all of it counts unless ``weight`` differs."""
+        """A radiograph from an image that is already seen from the source, as a DRR is; ``weight`` is 1 by default."""
         weight = torch.ones_like(image) if weight is None else weight
         return cls(image, detector, weight, torch.eye(3, dtype=torch.float64), sdd_mm, name)
 
     @property
     def mirrored(self) -> bool:
-        """Whether the file shows it as from the other side."""
+        """Whether the file shows the image mirrored, as seen towards the source."""
         return float(torch.linalg.det(self.stored_from_pixel)) < 0
 
 
 def level(radiograph: Radiograph, longest: int) -> Radiograph:
-    """One level of the pyramid: the box of the pixels that count, averaged onto at most ``longest`` pixels a side.
+    """One level of the pyramid: the box of pixels with weight, averaged onto at most ``longest`` pixels a side.
 
-    Pixels count by their weight, so that masked ones and ones outside the field do not leak into their neighbours;
-    where nothing counts the image holds the mean of the others.
+    The average is weighted, so masked pixels and pixels outside the field do not leak into their neighbours. A pixel
+    without weight holds the weighted mean of the image. Raises ``RegtorchError`` for ``longest`` below 1 or if no
+    pixel has weight.
     """
     if longest < 1:
         raise RegtorchError(f"pyramid level of {longest} pixels: expected at least 1")
@@ -75,7 +81,7 @@ def level(radiograph: Radiograph, longest: int) -> Radiograph:
     down = overlaps(cropped.rows, fitted.rows, ratio).to(image)
     across = overlaps(cropped.columns, fitted.columns, ratio).to(image).mT
     mean = (image * weight).sum(dtype=torch.float64) / weight.sum(dtype=torch.float64)
-    # Averaging differences from the mean keeps float32's digits where the image has a large offset.
+    # Averaging differences from the mean keeps float32 precision if the image has a large offset.
     coarse_weight = down @ weight @ across
     difference = down @ ((image - mean.to(image)) * weight) @ across
     counts = coarse_weight > 1e-6

@@ -1,5 +1,4 @@
-"""Where a CT ends and the patient does not: a radiograph shows the rest of the body, and none of the edges of the
-CT."""
+"""Continues the body beyond a CT that cuts it: a radiograph shows the rest of the body, and no edge of the CT."""
 
 import math
 
@@ -10,16 +9,16 @@ from regtorch.imaging.hounsfield import BONE_HU, MU_WATER_PER_MM
 from regtorch.imaging.volume import Volume
 
 _CUT = 0.1
-"""Least attenuation of the first or last slice, as a share of the densest one's, for the body to go on beyond it."""
+"""Least attenuation of an end slice, relative to the densest slice, for the body to continue beyond it."""
 
 _SOFT_PER_MM = MU_WATER_PER_MM * (1 + BONE_HU / 1000)
 
 
 def continued(whole: Volume, reach_mm: float) -> Volume:
-    """All tissue and, where the CT cuts the body, copies of the last slices, up to ``reach_mm`` from the origin.
+    """All tissue, with copies of the end slices where the CT cuts the body, up to ``reach_mm`` from the origin.
 
-    As soft tissue at most, since the next bone is another one. The same volume where the CT cuts nothing or reaches far
-    enough.
+    The copies attenuate at most as soft tissue, because the bones beyond the CT differ from those in its end slices.
+    A volume that cuts nothing or reaches far enough is returned unchanged.
     """
     axis = whole.along_body
     data = whole.data.movedim(-1 - axis, 0)
@@ -28,7 +27,7 @@ def continued(whole: Volume, reach_mm: float) -> Volume:
     least = _CUT * data.flatten(1).sum(1).max()
 
     def beyond(outermost: Tensor, lacking: float) -> Tensor:
-        """Copies of two slices together: the last may be air in part, where coarser voxels reach beyond finer ones."""
+        """Copies of the maximum of two slices: coarsening may leave part of the last slice as air."""
         face = outermost.amax(0).clamp(max=_SOFT_PER_MM)
         return face.expand(max(0, math.ceil(lacking)) if face.sum() > least else 0, *face.shape)
 

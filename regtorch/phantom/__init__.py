@@ -1,4 +1,4 @@
-"""The embedded phantom: an adult torso from the base of the neck to the upper femora, made without any file."""
+"""The embedded phantom: an adult torso from the base of the neck to the upper femora, computed without any file."""
 
 import numpy as np
 import torch
@@ -20,22 +20,22 @@ _SEED = 2022
 
 
 def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float, float, float]]]:
-    """A CT of a digital torso, 384 x 264 x 660 mm, and the middle of each vertebral body.
+    """Make a CT of a digital torso, 384 x 264 x 660 mm, and the centres of its vertebral bodies.
 
-    Every call makes the same torso; another spacing samples the same torso, with partial volumes at its edges. It is
-    made for registration: vertebrae and ribs that nearly repeat, as in people, and no symmetry that would let a mirror
-    image pass. Sizes, curvatures and their sources stand in the tables of this package.
+    Every call makes the same torso. Another spacing samples the same torso, with partial volumes at its edges. The
+    torso is made for registration: vertebrae and ribs nearly repeat, as in people, and no symmetry lets a mirror image
+    pass. The tables of this package hold sizes, curvatures and their sources.
 
     Args:
-        spacing_mm: edge of the cubic voxels, 0.8 to 6 mm.
+        spacing_mm: Edge of the cubic voxels, 0.8 to 6 mm.
 
     Returns:
-        The ``Volume`` in whole HU (air -1000 to cortical bone about 1000, nothing but bone from 100 HU up), its axes
-        those of LPS, the middle of the sacral endplate near the patient's origin; and the centres (x, y, z) of the
-        bodies of C7, T1 to T12, L1 to L5 and S1 in LPS mm.
+        The ``Volume`` in whole HU (air -1000, cortical bone about 1000, only bone has 100 HU or more). Its axes are
+        those of LPS, and the middle of the sacral endplate is near the origin. Then the centres (x, y, z) of the bodies
+        of C7, T1 to T12, L1 to L5 and S1 in LPS mm, by name.
 
     Raises:
-        RegtorchError: for a spacing outside these bounds.
+        RegtorchError: For a spacing outside these bounds.
     """
     if not _FINEST <= spacing_mm <= _COARSEST:
         raise RegtorchError(f"phantom: spacing of {spacing_mm} mm, expected {_FINEST} to {_COARSEST} mm")

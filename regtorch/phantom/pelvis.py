@@ -6,11 +6,11 @@ from jaxtyping import Float
 from regtorch.phantom.raster import Part
 from regtorch.phantom.shapes import Numbers, Rows, capsule, sheet, side_of, smooth, tube
 
-# Left side, LPS mm; sizes are those of a middling adult: 275 mm between the iliac crests, 235 mm between the anterior
-# superior spines, 176 mm between the hips, whose axis lies under the sacral endplate so that the pelvic incidence is
-# 54 degrees (as the mean of Vialle et al. 2005).
+# Left side, LPS mm. Sizes are those of a medium adult: 275 mm between the iliac crests, 235 mm between the anterior
+# superior spines, 176 mm between the hips. The hip axis lies under the sacral endplate and gives a pelvic incidence of
+# 54 degrees, the mean of Vialle et al. 2005.
 _HIP = np.array([88.0, -4.0, -102.0])
-_WING = (  # rows from the crest down to the acetabular roof and the sciatic notch, each backwards: x, y, z, half thick
+_WING = (  # rows from the crest to the acetabular roof and sciatic notch, each front to back: x, y, z, half thickness
     ((119, -55, -34, 6.0), (134, -38, 0, 5.5), (138, -8, 27, 5.0),
      (122, 26, 36, 5.0), (95, 56, 25, 6.0), (58, 84, -24, 6.5)),
     ((114, -53, -52, 5.5), (126, -28, -18, 3.0), (124, -2, 5, 2.2),
@@ -41,7 +41,7 @@ _MARROW = ((124, 8, -138, 14), (124, 9, -158, 13), (122, 9, -182, 10.5), (119, 8
 
 
 def pelvis_parts(rng: np.random.Generator) -> list[Part]:
-    """Each hip bone and femur."""
+    """Hip bone and femur of both sides."""
     return [part for side in (-1, 1) for part in _half(side, rng.normal(0, 1.2, 3))]
 
 

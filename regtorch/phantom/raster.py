@@ -1,4 +1,4 @@
-"""Paints solids into a volume: distances in the solid's own box, soft edges, a shell about a core, a little texture."""
+"""Paints solids into a volume, with partial volumes at their edges, a shell around a core, and a little texture."""
 
 import os
 from collections.abc import Sequence
@@ -12,15 +12,20 @@ from numba import njit
 
 _FAR = 1e3
 _CELL_MM = 4.0
-_LATTICE = 61  # cells: the texture repeats after 244 mm, which no multiple of a vertebra's height meets
+_LATTICE = 61  # cells: the texture repeats after 244 mm, no multiple of a vertebra's height
 
 
 @dataclass(frozen=True)
 class Part:
-    """One structure: solids (``shapes.py``), its filling (HU), and how it is painted over earlier parts.
+    """One structure of the phantom; it replaces the structures painted before it.
 
-    ``shell_hu`` fills the outer ``shell_mm``; ``texture_hu`` is the largest deviation of the core; ``blend_mm`` is the
-    distance over which solids of this part melt into each other.
+    Args:
+        shapes: Its solids, rows of ``shapes.py``.
+        core_hu: HU of the inside.
+        shell_hu: HU of the outer layer.
+        shell_mm: Thickness of the outer layer.
+        texture_hu: Largest deviation of the core from ``core_hu``.
+        blend_mm: Distance over which the solids of this part blend into each other.
     """
 
     shapes: Float[np.ndarray, "n 28"]
@@ -32,7 +37,7 @@ class Part:
 
 
 def texture(seed: int) -> Float[np.ndarray, "n n n"]:
-    """Periodic noise on a lattice, of wavelengths over about 10 mm, within -1 to 1."""
+    """Periodic noise on a lattice, from -1 to 1, with wavelengths above about 10 mm."""
     noise = np.random.default_rng(seed).normal(size=(_LATTICE,) * 3)
     k = np.fft.fftfreq(_LATTICE, _CELL_MM)
     k2 = k[:, None, None] ** 2 + k[:, None] ** 2 + k**2
@@ -47,9 +52,16 @@ def paint(
     parts: Sequence[Part],
     seed: int,
 ) -> None:
-    """Paints ``parts`` in their order into ``volume`` [z, y, x] in HU; ``origin`` (x, y, z) is its first voxel in mm.
+    """Paint ``parts`` in their order into ``volume``, in place.
 
-    Slabs are painted independently of each other, so the result does not depend on how many threads there are.
+    Slabs are painted independently of each other, so the result does not depend on the number of threads.
+
+    Args:
+        volume: HU [z, y, x].
+        origin: Centre of the first voxel (x, y, z), mm.
+        spacing: Edge of the cubic voxels, mm.
+        parts: Structures to paint.
+        seed: Seed of the texture.
     """
     lattice = texture(seed)
     thick = max(8, round(32 / spacing))
@@ -87,7 +99,7 @@ def _capsule(s, x, y, z):
     q0 -= t * s[20]
     r0, r1, r2 = s[21] + t * (s[24] - s[21]), s[22] + t * (s[25] - s[22]), s[23] + t * (s[26] - s[23])
     u0, u1, u2 = (q0 / r0) ** 2, (q1 / r1) ** 2, (q2 / r2) ** 2
-    # First order: distance to the ellipsoid |q / r| = 1 is (|q / r| - 1) / |gradient|.
+    # The distance to the ellipsoid |q / r| = 1 is, to first order, (|q / r| - 1) / |gradient|.
     level = np.sqrt(u0 + u1 + u2)
     steep = np.sqrt(u0 / r0**2 + u1 / r1**2 + u2 / r2**2) / max(level, 1e-9)
     return (level - 1) / max(steep, 1e-9)
@@ -131,8 +143,8 @@ def _drum(s, x, y, z):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _triangle(s, x, y, z):
-    # Coordinates are about the first corner; e1, e2 lead from it to the others. Ericson, Real-Time Collision
-    # Detection, 2005, 5.1.5: the nearest point is inside, on an edge, or a corner.
+    # Coordinates are relative to the first corner; e1 and e2 lead from it to the others. The nearest point is inside,
+    # on an edge, or a corner (Ericson, Real-Time Collision Detection, 2005, 5.1.5).
     e1x, e1y, e1z = s[11] - s[8], s[12] - s[9], s[13] - s[10]
     e2x, e2y, e2z = s[14] - s[8], s[15] - s[9], s[16] - s[10]
     d11, d12, d22 = e1x * e1x + e1y * e1y + e1z * e1z, e1x * e2x + e1y * e2y + e1z * e2z, e2x**2 + e2y**2 + e2z**2
@@ -159,7 +171,7 @@ def _triangle(s, x, y, z):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _measure(distance, origin, spacing, shapes, blend):
-    """Signed distance (mm, negative inside) to the union of ``shapes`` less the carving ones, near its surface."""
+    """Signed distance (mm, negative inside) to the union of ``shapes`` minus the carving ones, near its surface."""
     nz, ny, nx = distance.shape
     margin = spacing + blend
     for n in range(len(shapes)):
@@ -184,7 +196,7 @@ def _measure(distance, origin, spacing, shapes, blend):
                     old = distance[k, j, i]
                     if s[1] > 0:
                         distance[k, j, i] = max(old, -d)
-                    elif s[0] == 2:  # neighbours in a sheet would swell along their common edge if they melted
+                    elif s[0] == 2:  # blending would thicken a sheet along the common edges of its triangles
                         distance[k, j, i] = min(old, d)
                     else:
                         near = max(blend - abs(old - d), 0.0)
@@ -202,7 +214,7 @@ def _span(low, high, origin, spacing, margin, n):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _fill(volume, distance, origin, spacing, core, shell, thickness, amplitude, lattice):
-    """Replaces earlier values by shell and core, in the share of each voxel that they cover."""
+    """Replace the share of each voxel that shell and core cover."""
     nz, ny, nx = volume.shape
     for k in range(nz):
         z0, z1, z = _cell(origin[2] + k * spacing)
@@ -227,7 +239,7 @@ def _fill(volume, distance, origin, spacing, core, shell, thickness, amplitude, 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _cell(position):
-    """The lattice points before and after a position in mm, and how far it is from the one to the other."""
+    """Lattice points before and after a position in mm, and its fraction of the way between them."""
     place = position / _CELL_MM + 100 * _LATTICE  # positive, so that int() rounds down
     first = int(place)
     return first % _LATTICE, (first + 1) % _LATTICE, place - first

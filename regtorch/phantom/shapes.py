@@ -1,10 +1,10 @@
 """Solids as rows of numbers: elliptic capsules, slices, vertebral drums and triangles of some thickness, in LPS mm.
 
-Everything anatomical is made of these four, so that one compiled loop (``raster.py``) paints it all. A row holds
+All anatomy consists of these four kinds, so one compiled loop (``raster.py``) paints it. A row holds
 
-    kind, carve | box: low xyz, high xyz | point | what the kind needs, in the order of its function
+    kind, carve | box: low xyz, high xyz | point | fields of the kind, in the order of its function
 
-where ``carve`` = 1 takes the solid away from earlier ones, and the box bounds the solid.
+where ``carve`` = 1 subtracts the solid from the solids before it, and the box bounds the solid.
 """
 
 from collections.abc import Sequence
@@ -27,10 +27,15 @@ def _row(kind: float, carve: bool, low: Float[np.ndarray, "3"], high: Float[np.n
 
 
 def capsule(a: Numbers, b: Numbers, ra: Numbers, rb: Numbers, thin: Numbers = (0, 1, 0), *, carve: bool = False) -> Row:
-    """Elliptic capsule from ``a`` to ``b`` (mm), one row.
+    """Elliptic capsule, one row. With ``a`` = ``b`` it is an ellipsoid with a vertical axis.
 
-    ``ra`` and ``rb`` are the radii at its ends: one number, or three (along the axis, wide, thin). ``thin`` is the
-    direction of the third, made orthogonal to the axis. With ``a`` = ``b`` it is an ellipsoid whose axis is vertical.
+    Args:
+        a: First end, mm.
+        b: Second end, mm.
+        ra: Radius at ``a``: one number, or three (along the axis, wide, thin).
+        rb: Radius at ``b``, likewise.
+        thin: Direction of the third radius; it is made orthogonal to the axis.
+        carve: Whether to subtract the capsule from the solids before it.
     """
     a, b, thin = (np.asarray(v, float) for v in (a, b, thin))
     ra, rb = (np.broadcast_to(np.asarray(r, float), 3) for r in (ra, rb))
@@ -57,11 +62,17 @@ def drum(
     waist: float | int = 0.1,
     dish: float | int = 1,
 ) -> Row:
-    """Vertebral body, one row: kidney-shaped sections, a waist, dished endplates.
+    """Vertebral body, one row: kidney-shaped sections, a waist, concave endplates.
 
-    ``frame`` has the vertebra's left, posterior and superior axes as rows; ``widths`` and ``depths`` (mm) are the lower
-    and the upper endplate's. ``waist`` is the share of width lost at mid height. ``wedge`` is the slope (rise in mm per
-    mm forward) by which either endplate opens to the front. ``dish`` is the depth in mm of the endplates' hollow.
+    Args:
+        centre: Centre of the body, LPS mm.
+        frame: The vertebra's left, posterior and superior axes as rows.
+        height: Height of the body, mm.
+        widths: Widths of the lower and the upper endplate, mm.
+        depths: Depths of the lower and the upper endplate, mm.
+        wedge: Slope of each endplate, opening to the front: rise in mm per mm forward.
+        waist: Share of the width lost at mid height.
+        dish: Depth of the hollow in each endplate, mm.
     """
     centre = np.asarray(centre, float)
     a, b = np.asarray(widths, float) / 2, np.asarray(depths, float) / 2
@@ -71,14 +82,14 @@ def drum(
 
 
 def triangle(a: Numbers, b: Numbers, c: Numbers, radii: Numbers) -> Row:
-    """Flat triangle rounded by three radii (half of its thickness in mm at each corner), one row."""
+    """Rounded flat triangle, one row; ``radii`` are half its thickness (mm) at the three corners."""
     corners, radii = np.stack([a, b, c]).astype(float), np.asarray(radii, float)
     reach = radii.max()
     return _row(TRIANGLE, False, corners.min(0) - reach, corners.max(0) + reach, corners, [0] * 4, radii)
 
 
 def smooth(points: Numbers, pieces: int) -> Float[np.ndarray, "..."]:
-    """Catmull-Rom spline along the first axis through every point, ``pieces`` steps from one to the next."""
+    """Catmull-Rom spline through all points along the first axis, with ``pieces`` steps between neighbours."""
     p = np.asarray(points, float)
     p = np.concatenate([2 * p[:1] - p[1:2], p, 2 * p[-1:] - p[-2:-1]])
     t = (np.arange(pieces) / pieces).reshape(1, -1, *[1] * (p.ndim - 1))
@@ -88,7 +99,7 @@ def smooth(points: Numbers, pieces: int) -> Float[np.ndarray, "..."]:
 
 
 def tube(points: Numbers, radii: Numbers, thin: Numbers = (0, 1, 0)) -> Rows:
-    """Capsules along a polyline: (n, 3) points, radii that broadcast to (n, 3), ``thin`` to (n, 3); n - 1 rows."""
+    """Capsules along a polyline of n points (n, 3), n - 1 rows; ``radii`` and ``thin`` broadcast to (n, 3)."""
     points = np.asarray(points, float)
     radii = np.asarray(radii, float)
     radii = np.broadcast_to(radii[:, None] if radii.ndim == 1 and len(radii) == len(points) else radii, points.shape)
@@ -98,9 +109,9 @@ def tube(points: Numbers, radii: Numbers, thin: Numbers = (0, 1, 0)) -> Rows:
 
 
 def loft(sections: Numbers, pieces: int = 5) -> Rows:
-    """A stack of level elliptic sections, each (x, y, z, half width, half depth) in mm, smoothly joined.
+    """A smooth solid through horizontal elliptic sections, each (x, y, z, half width, half depth) in mm.
 
-    Its ends are cut at the nearest voxels.
+    Both ends are cut at the nearest voxels.
     """
     s = smooth(sections, pieces)
     s = s[np.argsort(s[:, 2])]
@@ -121,7 +132,7 @@ def sheet(grid: Numbers, pieces: int = 4) -> Rows:
 
 
 def side_of(points: Numbers, side: int) -> Float[np.ndarray, "*shape"]:
-    """Points given for the patient's left (side 1), or their mirror image on the right (side -1)."""
+    """Points of the patient's left side (side 1), or their mirror image on the right (side -1)."""
     points = np.array(points, float)
     points[..., 0] *= side
     return points

@@ -1,18 +1,18 @@
-"""Where the vertebrae stand and how large they are: C7 to coccyx, each with its own size, tilt and deviations."""
+"""Positions and sizes of the vertebrae from C7 to the coccyx, each with random deviations."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-# Bodies, pedicles, canals and processes are modelled on the means of Panjabi et al., Spine 16 (1991) 861 and 888
-# (cervical, thoracic) and 17 (1992) 299 (lumbar), the lumbar discs on Gilad and Nissan, Spine 11 (1986) 154. The tilts
-# make a thoracic kyphosis of 40 degrees, a lumbar lordosis of 57 and a sacral slope of 40, all close to the means of
-# Vialle et al., J Bone Joint Surg Am 87 (2005) 260.
+# Bodies, pedicles, canals and processes follow the means of Panjabi et al., Spine 16 (1991) 861 and 888 (cervical,
+# thoracic) and 17 (1992) 299 (lumbar). Lumbar discs follow Gilad and Nissan, Spine 11 (1986) 154. The tilts give a
+# thoracic kyphosis of 40 degrees, a lumbar lordosis of 57 and a sacral slope of 40, close to the means of Vialle et
+# al., J Bone Joint Surg Am 87 (2005) 260.
 _COLUMNS = "height upper_width lower_width upper_depth lower_depth disc tilt wedge pedicle_width pedicle_height " \
     "canal_width canal_depth transverse_width spinous_length spinous_drop"  # fmt: skip
-# mm; disc is the one below; tilt is of the body's axis, forward, and wedge how far the endplates open to the front,
-# in degrees; spinous_drop is the angle of the spinous process below the body's horizontal.
+# Lengths in mm, angles in degrees. disc: the disc below. tilt: forward tilt of the body's axis. wedge: angle by which
+# the endplates open to the front. spinous_drop: angle of the spinous process below the body's horizontal.
 _TABLE = """
 C7  13.0 22.5 24.0 17.0 17.5  5.0  24  -1   6.5  7.5 24.5 15.0 66  33 22
 T1  14.5 25.0 27.5 18.0 19.5  4.5  23  -2   8.2  9.6 21.8 16.2 75  34 22
@@ -33,7 +33,7 @@ L3  25.0 44.1 48.0 35.0 34.8  9.2  -6   3  10.2 14.6 24.3 17.6 87  32  6
 L4  24.8 46.6 49.5 35.3 34.2 10.0   4   5  13.5 15.4 25.4 18.4 80  28  8
 L5  24.0 48.0 49.5 34.8 33.4  9.6  18   9  17.0 18.5 27.0 19.2 92  22 14
 """
-# Sacral and coccygeal segments; discs are all but gone, and what is behind the bodies is built by `_sacrum`.
+# Sacral and coccygeal segments with thin discs; `_sacrum` builds the bone behind the bodies.
 _SACRAL = """
 S1  29.0 50.0 38.0 32.0 24.0  1.5  40   0
 S2  24.0 38.0 31.0 23.0 18.0  1.2  41   0
@@ -49,7 +49,14 @@ _S1_TOP = np.array([0.0, 22.0, 0.0])  # the middle of the sacral endplate, LPS m
 
 @dataclass(frozen=True)
 class Vertebra:
-    """Sizes (mm, degrees, named as in the table) and place: ``centre`` of the body in LPS mm, axes as rows."""
+    """One vertebra.
+
+    Args:
+        name: C7 to Co3.
+        size: Sizes in mm and degrees, named as in the table.
+        centre: Centre of the body, LPS mm.
+        frame: Left, posterior and superior axes as rows.
+    """
 
     name: str
     size: dict[str, float]
@@ -57,7 +64,7 @@ class Vertebra:
     frame: Float[np.ndarray, "3 3"]
 
     def at(self, left: float | int, back: float | int, up: float | int) -> Float[np.ndarray, "3"]:
-        """LPS mm of a point given in mm along the vertebra's own axes, from the centre of its body."""
+        """A point in LPS mm, given in mm from the centre of the body along the vertebra's own axes."""
         return self.centre + np.array([left, back, up]) @ self.frame
 
     @property
@@ -66,15 +73,15 @@ class Vertebra:
 
     @property
     def body_back(self) -> float:
-        """From the centre of the body to its back, mm."""
+        """Distance from the centre of the body to its back, mm."""
         return (self.size["upper_depth"] + self.size["lower_depth"]) / 4
 
 
-def drawn_vertebrae(rng: np.random.Generator) -> dict[str, Vertebra]:
-    """Vertebrae by name, C7 to Co3, stacked upwards and downwards from the sacral endplate."""
+def spine(rng: np.random.Generator) -> dict[str, Vertebra]:
+    """All vertebrae by name, C7 to Co3, stacked upwards and downwards from the sacral endplate."""
     names, sizes = zip(*(_read(line) for line in (_TABLE + _SACRAL).split("\n") if line), strict=True)
     sizes = [_vary(size, rng) for size in sizes]
-    # A slight double scoliosis, and nobody's vertebrae face quite the same way: degrees.
+    # A slight double scoliosis and random deviations of each vertebra, in degrees.
     height = np.linspace(1, 0, len(sizes))
     roll = 2.6 * np.sin(2 * np.pi * (height * 1.5 - 0.35)) + rng.normal(0, 0.7, len(sizes))
     turn = 2.0 * np.sin(2 * np.pi * (height * 1.5 - 0.3)) + rng.normal(0, 1.0, len(sizes))
@@ -95,13 +102,13 @@ def _read(line: str) -> tuple[str, dict[str, float]]:
 
 
 def _vary(size: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
-    """Sizes with a deviation of some 2 %, as between neighbours of one person; tilts with one of 0.7 degrees."""
+    """Sizes with random deviations: 2 % for lengths, as between neighbours in one person, 0.7 degrees for angles."""
     angles = ("tilt", "wedge", "spinous_drop")
     return {k: v + rng.normal(0, 0.7) if k in angles else v * (1 + rng.normal(0, 0.02)) for k, v in size.items()}
 
 
 def _frame(tilt: float, roll: float, turn: float) -> Float[np.ndarray, "3 3"]:
-    """Left, posterior and superior axis as rows, for degrees of tilt forward, to the left, and turn about the axis."""
+    """Left, posterior and superior axes as rows, for a forward tilt, a roll to the left and a turn, in degrees."""
     a, b, c = np.radians([tilt, roll, turn])
     about_x = np.array([[1, 0, 0], [0, np.cos(a), np.sin(a)], [0, -np.sin(a), np.cos(a)]])
     about_y = np.array([[np.cos(b), 0, -np.sin(b)], [0, 1, 0], [np.sin(b), 0, np.cos(b)]])
@@ -110,7 +117,7 @@ def _frame(tilt: float, roll: float, turn: float) -> Float[np.ndarray, "3 3"]:
 
 
 def _step(upper: int, sizes: list[dict[str, float]], frames: list[Float[np.ndarray, "3 3"]]) -> Float[np.ndarray, "3"]:
-    """From the centre of the body below to that of body number ``upper``."""
+    """Vector to the centre of body number ``upper`` from the centre of the body below it."""
     up, down = frames[upper][2], frames[upper + 1][2]
     across = (up + down) / np.linalg.norm(up + down)
     return up * sizes[upper]["height"] / 2 + across * sizes[upper]["disc"] + down * sizes[upper + 1]["height"] / 2

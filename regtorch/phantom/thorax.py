@@ -7,8 +7,8 @@ from regtorch.phantom.raster import Part
 from regtorch.phantom.shapes import Numbers, capsule, loft, sheet, side_of, smooth, tube
 from regtorch.phantom.spine import Vertebra
 
-# For each rib: the half width of the chest where the rib is outermost, where its bone ends in front (x, y, z on the
-# left, LPS mm), how much of that way it goes (the last two float), and where its cartilage goes on to.
+# For each rib: half width of the chest at its outermost point; front end of the bone (x, y, z on the left, LPS mm);
+# share of that path that is bone (less than 1 for the floating ribs); further points of the cartilage.
 _RIBS = (
     (60, (33, -20, 399), 1.00, ((25, -31, 396),)),
     (88, (43, -50, 371), 1.00, ((20, -54, 367),)),
@@ -23,7 +23,7 @@ _RIBS = (
     (120, (112, -28, 116), 0.66, ()),
     (108, (100, -20, 76), 0.45, ()),
 )
-# The way from the tubercle to the front end, as shares of the way out, forward and down.
+# The path from the tubercle to the front end, as shares of the distances outwards, forwards and downwards.
 _WAY = ((0.38, -0.09, 0.12), (0.76, 0.06, 0.31), (0.97, 0.32, 0.53), (1.0, 0.52, 0.68), (0.90, 0.78, 0.86))
 
 _STERNUM = (  # x, y, z, half width, half depth
@@ -35,12 +35,12 @@ _CLAVICLE = (  # x, y, z, wide, thin
     (19, -35, 405, 9.0, 8.0), (46, -36, 410, 6.5, 6.0), (82, -27, 417, 5.8, 5.5), (116, 7, 422, 6.5, 5.0),
     (138, 32, 420, 8.5, 4.5), (151, 41, 417, 9.5, 4.5),
 )  # fmt: skip
-_BLADE = (  # rows from the medial to the lateral border, each downwards: x, y, z, half thickness
+_BLADE = (  # rows from the medial to the lateral border, each from top to bottom: x, y, z, half thickness
     ((85, 90, 404, 1.8), (77, 101, 377, 2.0), (76, 108, 336, 2.0), (88, 101, 287, 3.0)),
     ((108, 79, 411, 1.6), (103, 88, 374, 1.4), (103, 97, 335, 1.3), (93, 100, 290, 2.4)),
     ((130, 58, 402, 2.4), (138, 54, 376, 5.0), (123, 78, 335, 4.2), (100, 95, 290, 3.0)),
 )
-_RIDGE = (  # the scapular spine, from the blade outwards, each row laterally; it ends as the acromion
+_RIDGE = (  # scapular spine up to the acromion: rows away from the blade, each from medial to lateral
     ((77, 101, 378, 1.5), (104, 88, 386, 1.6), (128, 64, 393, 2.5), (146, 50, 402, 2.5), (154, 42, 409, 3.5)),
     ((77, 104, 379, 2.2), (105, 101, 394, 3.2), (130, 84, 406, 3.6), (151, 60, 413, 4.5), (164, 40, 412, 4.0)),
 )
@@ -49,7 +49,7 @@ _GLENOID = ((138, 54, 380), (147, 46, 383))
 
 
 def thorax_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> list[Part]:
-    """Cartilage first, so that bone covers its ends."""
+    """All parts of the chest and shoulders; cartilage comes first, so that bone covers its ends."""
     bones, cartilage = [], []
     for number, (width, end, share, beyond) in enumerate(_RIBS, 1):
         for side in (-1, 1):
@@ -67,7 +67,7 @@ def thorax_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> li
 def _rib_path(
     v: Vertebra, side: int, width: float, end: Float[np.ndarray, "3"], share: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Middle of the bone from its head, over the transverse process, out, around and down to its front end."""
+    """Centre line of the bone, from its head over the transverse process, outwards and down to its front end."""
     half, deep = v.size["height"] / 2, v.body_back
     pillar = deep + 0.8 * v.size["canal_depth"]
     reach = v.size["transverse_width"] / 2
@@ -85,7 +85,7 @@ def _rib_path(
 
 
 def _rib(path: Float[np.ndarray, "n 3"], number: int) -> Part:
-    """A flat bone on edge, but the first, which lies; higher behind than in front."""
+    """A rib along its path: a flat bone on edge, except for the first rib, which lies flat."""
     along = np.gradient(path, axis=0)
     flat = np.cross(along, [0, 0, 1]) if number > 1 else np.tile([0.0, 0.3, 1.0], (len(path), 1))
     t = np.linspace(0, 1, len(path))
@@ -97,7 +97,7 @@ def _rib(path: Float[np.ndarray, "n 3"], number: int) -> Part:
 
 
 def _shoulder(side: int, rng: np.random.Generator) -> list[Part]:
-    shift = rng.normal((0, 0, 3 * side), 2.0)  # the left shoulder stands a little higher
+    shift = rng.normal((0, 0, 3 * side), 2.0)  # the left shoulder is a little higher
 
     def place(points: Numbers) -> Float[np.ndarray, "*shape"]:
         return side_of(points, side) + shift

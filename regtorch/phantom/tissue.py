@@ -1,4 +1,4 @@
-"""Everything soft: skin, fat, muscle, lungs with vessels, heart, great vessels, organs of the abdomen, air."""
+"""Soft tissue and air: skin, fat, muscle, lungs with vessels, heart, great vessels, organs of the abdomen, gas."""
 
 import numpy as np
 from jaxtyping import Float
@@ -17,17 +17,17 @@ _TRUNK = (
     (0, 6, -20, 170, 113), (0, 10, -70, 176, 118), (0, 10, -120, 179, 117), (0, 8, -170, 178, 108),
     (0, 6, -230, 172, 100),
 )  # fmt: skip
-_WALL = (  # the muscular wall under the fat
+_WALL = (  # muscle under the fat
     (0, 27, 485, 53, 51), (0, 28, 458, 56, 55), (0, 29, 438, 94, 61), (0, 32, 420, 146, 70), (0, 34, 404, 166, 76),
     (0, 31, 388, 172, 85), (0, 26, 360, 168, 93), (0, 20, 320, 156, 100), (0, 12, 270, 148, 107), (0, 6, 210, 141, 103),
     (0, 4, 140, 131, 88), (0, 2, 80, 132, 84), (0, 4, 30, 146, 85), (0, 14, -20, 156, 84), (0, 18, -70, 158, 90),
     (0, 16, -120, 160, 92), (0, 12, -230, 156, 84),
 )  # fmt: skip
-_BELLY = (  # inside the abdominal wall: fat about the organs
+_BELLY = (  # fat around the organs, inside the abdominal wall
     (0, -6, 225, 122, 72), (0, -20, 180, 120, 66), (0, -24, 130, 114, 60), (0, -26, 80, 112, 58), (0, -26, 30, 108, 56),
     (0, -14, -20, 84, 52), (0, 0, -60, 58, 46), (0, 6, -100, 44, 38), (0, 8, -118, 36, 28),
 )  # fmt: skip
-_LUNG = (  # left; the right one is a little wider
+_LUNG = (  # left; the right lung is a little wider
     (38, 23, 437, 3, 4), (38, 23, 433, 8, 12), (40, 23, 426, 13, 21), (43, 23, 412, 20, 31), (48, 22, 396, 33, 42),
     (57, 19, 371, 42, 57), (65, 16, 338, 51, 70), (70, 10, 295, 58, 80), (71, 5, 255, 59, 80), (70, 3, 215, 56, 72),
     (67, 15, 180, 49, 52), (64, 30, 162, 36, 28),
@@ -43,7 +43,7 @@ _AORTA = (
 _CAVA = ((-20, -16, 436), (-22, -16, 400), (-24, -20, 350), (-21, -24, 310))
 _TRACHEA = ((0, -12, 490), (0, -8, 440), (0, 0, 400), (1, 4, 368))
 _BRONCHI = ((1, 4, 370), (20, 8, 350), (38, 10, 338))
-_GAS = (  # pockets in the bowel and, the first, in the stomach: middle; radii (tall, wide, deep)
+_GAS = (  # pockets in the stomach (the first) and in the bowel: centre; radii (tall, wide, deep)
     ((58, -28, 222), (15, 34, 22)), ((100, -30, 150), (24, 14, 14)), ((96, -40, 80), (22, 14, 12)),
     ((-92, -34, 60), (26, 18, 15)), ((-88, -46, 110), (20, 15, 12)), ((-40, -60, 122), (9, 24, 10)),
     ((22, -62, 112), (9, 30, 10)), ((10, 2, -66), (16, 14, 12)), ((30, -58, 46), (8, 12, 9)),
@@ -73,7 +73,7 @@ def _mirrored(sections: tuple, side: int, widen: float) -> Float[np.ndarray, "n 
 
 
 def tissue_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> list[Part]:
-    """In the order of painting, from the skin inwards; bones come after."""
+    """All soft parts in the order of painting, from the skin inwards; bones are painted after them."""
     walls = [
         Part(loft(_TRUNK), FAT, 30, 1.8, 8),
         Part(loft(_WALL), MUSCLE, MUSCLE, texture_hu=16),
@@ -100,7 +100,7 @@ def _chest(rng: np.random.Generator) -> list[Part]:
 
 
 def _tree(side: int, rng: np.random.Generator) -> Rows:
-    """Vessels that leave the hilum in all directions and fork once on their way."""
+    """Vessels that leave the hilum in all directions and fork once."""
     hilum, rows = np.array([30.0 * side, 6.0, 330.0]), []
     for _ in range(13):
         aim = hilum + rng.uniform((30, -60, -105), (75, 55, 65)) * (side, 1, 1)
@@ -114,7 +114,7 @@ def _tree(side: int, rng: np.random.Generator) -> Rows:
 
 
 def _pocket(middle: Float[np.ndarray, "3"], radii: Float[np.ndarray, "3"], rng: np.random.Generator) -> Rows:
-    """Gas of an irregular outline: some balls about the middle that melt together."""
+    """A gas pocket of irregular outline, made of five overlapping ellipsoids."""
     offsets, sizes = rng.uniform(-0.6, 0.6, (5, 3)), rng.uniform(0.4, 0.7, (5, 3))
     return np.concatenate([_ball(middle + radii * o, radii * s) for o, s in zip(offsets, sizes, strict=True)])
 

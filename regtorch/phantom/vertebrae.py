@@ -1,4 +1,4 @@
-"""The bones of the spine as solids: a body with its arch and seven processes, the sacrum with its wings and holes."""
+"""The bones of the spine as solids: vertebrae with arch and seven processes, the sacrum with wings and foramina."""
 
 from itertools import pairwise
 
@@ -8,21 +8,22 @@ from regtorch.phantom.raster import Part
 from regtorch.phantom.shapes import Row, Rows, capsule, drum, sheet
 from regtorch.phantom.spine import Vertebra
 
-# The spinous process: radii (along, high, wide) at its root and at its tip; mm.
+# Spinous process: radii (along, high, wide) at its root and at its tip, mm.
 _SPINOUS = {"lumbar": ((3, 8, 3.2), (6, 8.5, 4.2)), "thoracic": ((3, 6.5, 3), (4, 4.2, 3.6))}
-# The wings of the sacrum, from the bodies outwards: how far left and back, half thickness; mm. Then downwards: by which
-# segment, what share of that width and of that thickness, and how far above the segment's middle and further back.
+# Wings of the sacrum. First outwards from the bodies: distance to the left and backwards, half thickness, mm. Then
+# downwards: segment, share of the width, share of the thickness, offset upwards and backwards from its centre, mm.
 _WING = ((18, 4, 11), (34, 8, 12), (48, 14, 11))
 _WING_LEVELS = (
     ("S1", 1.0, 1.0, 1, 0), ("S1", 1.0, 1.0, -9, 0), ("S2", 0.95, 0.8, 0, 0),
     ("S3", 0.75, 0.55, 0, -1), ("S4", 0.5, 0.4, 0, -3), ("S5", 0.25, 0.28, 0, -6),
 )  # fmt: skip
-# Behind each sacral body: how far back the lamina and the median crest stand; its foramina, how far out and how wide.
+# For each sacral body: distance backwards to the lamina and the median crest; lateral distance and radius of the
+# foramina, mm.
 _SACRAL_BACK = (("S1", 17, 20, 19, 4.8), ("S2", 15, 17, 17, 4.4), ("S3", 11, 13, 15, 3.8), ("S4", 7, 8, 13, 3.2))
 
 
 def spine_parts(vertebrae: dict[str, Vertebra], rng: np.random.Generator) -> list[Part]:
-    """One part for each of C7 to L5, one for sacrum and coccyx."""
+    """One part for each vertebra from C7 to L5, one for sacrum and coccyx."""
     single = [v for v in vertebrae.values() if not v.is_sacral]
     parts = [Part(_vertebra(v, rng), rng.normal(245, 15), rng.normal(920, 40), 1.2, 75, 1.5) for v in single]
     return [*parts, Part(_sacrum(vertebrae), 200, 720, 0.9, 60, 3.0)]
@@ -35,13 +36,13 @@ def _body(v: Vertebra) -> Row:
 
 
 def _vertebra(v: Vertebra, rng: np.random.Generator) -> Rows:
-    """The body; on each side pedicle, facets, lamina and transverse process; the spinous process."""
+    """Body, spinous process and, on each side, pedicle, facets, lamina and transverse process."""
     s, lumbar = v.size, v.name[0] == "L"
     half, wide, tall = s["height"] / 2, s["pedicle_width"] / 2, s["pedicle_height"] / 2
     pillar = v.body_back + 0.8 * s["canal_depth"]  # where pedicle, facets, lamina and transverse process meet
     arch = v.body_back + s["canal_depth"] + 3
     high = half - tall + (0.5 if lumbar else 1.5)
-    facet = (5, 5, 8) if lumbar else (4, 6, 3)  # sagittal and stout, or coronal and thin
+    facet = (5, 5, 8) if lumbar else (4, 6, 3)  # sagittal and thick, or coronal and thin
     left, back, up = v.frame
     rows = [_body(v)]
     for side in (-1, 1):
@@ -56,11 +57,11 @@ def _vertebra(v: Vertebra, rng: np.random.Generator) -> Rows:
                     (2, 0.55 * half, 3), (2, 0.65 * half, 3), back),
         ]  # fmt: skip
         reach = side * s["transverse_width"] / 2 * (1 + rng.normal(0, 0.03))
-        if lumbar:  # long and straight out; that of L5 is stout
+        if lumbar:  # long and straight outwards; thick for L5
             thick = 7 if v.name == "L5" else 3.6
             tip = v.at(reach, pillar - 2 + rng.normal(0, 1), high + rng.normal(-2, 1.5))
             rows.append(capsule(v.at(x, pillar - 3, high - 3), tip, (3, thick, thick), (3, 4.5, 2.5), back))
-        else:  # backwards too, with a knob for the rib
+        else:  # outwards and backwards, with a knob for the rib
             tip = v.at(reach, pillar + 0.5 * (abs(reach) - abs(x)), high + 2)
             rows.append(capsule(v.at(x, pillar - 1, high - 1), tip, (3, 5, 4), (4, 4.6, 4.6), back))
     drop, length = np.radians(s["spinous_drop"]), s["spinous_length"]
@@ -70,7 +71,7 @@ def _vertebra(v: Vertebra, rng: np.random.Generator) -> Rows:
 
 
 def _sacrum(vertebrae: dict[str, Vertebra]) -> Rows:
-    """Fused bodies, the wings that meet the iliac bones, laminae and median crest; canal and foramina carved out."""
+    """Fused bodies, wings up to the iliac bones, laminae and median crest; canal and foramina are carved out."""
     rows = [_body(v) for v in vertebrae.values() if v.is_sacral]
     s1 = vertebrae["S1"]
     for side in (-1, 1):
@@ -95,7 +96,7 @@ def _sacrum(vertebrae: dict[str, Vertebra]) -> Rows:
         rows.append(capsule(a, b, (1, 1.3 * r, 0.7 * r), (1, r, 0.5 * r), s1.frame[1], carve=True))
     for name, _, _, x, r in _SACRAL_BACK:
         v = vertebrae[name]
-        for side in (-1, 1):  # nearly level, so that a frontal radiograph shows them half open
+        for side in (-1, 1):  # the foramina are nearly horizontal, so a frontal radiograph shows them half open
             hole = v.at(side * x, 4, -v.size["height"] / 2)
             front, back = hole + np.array([3 * side, -30, -9]), hole + np.array([side, 35, 11])
             rows.append(capsule(front, back, 1.2 * r, 0.7 * r, carve=True))

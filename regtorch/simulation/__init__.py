@@ -1,4 +1,4 @@
-"""Radiographs of a CT whose geometry is known."""
+"""Simulated radiographs of a CT, with known geometry."""
 
 from regtorch.simulation.blur import add_scatter, blur_detector, blur_focal_spot
 from regtorch.simulation.devices import add_devices

@@ -1,4 +1,4 @@
-"""The blur of a radiograph: detector, focal spot and scattered photons, each a Gaussian in the intensity."""
+"""Blur of a radiograph by detector, focal spot and scatter, each a Gaussian applied to the intensity."""
 
 import math
 
@@ -12,13 +12,16 @@ from regtorch.geometry import Detector
 _SIGMA_PER_FWHM = 1 / math.sqrt(8 * math.log(2))
 
 _SLAB = 4.0
-"""Line integral of the patient for whom a scatter-to-primary ratio is meant."""
+"""Line integral of the patient to whom a scatter-to-primary ratio refers."""
 
 
 def blur_detector(
     line_integrals: Float[Tensor, "*b h w"], detector: Detector, *, fwhm_mm: float = 0.5
 ) -> Float[Tensor, "*b h w"]:
-    """Line integrals as a detector sees them whose point spread is a Gaussian of ``fwhm_mm``."""
+    """Blur line integrals by a detector whose point spread is a Gaussian with FWHM ``fwhm_mm``.
+
+    Raises ``RegtorchError`` for a negative or infinite width.
+    """
     _check(fwhm_mm, "point spread")
     return _log(_gaussian(_exp(line_integrals), fwhm_mm * _SIGMA_PER_FWHM / detector.pixel_mm), line_integrals)
 
@@ -30,10 +33,11 @@ def blur_focal_spot(
     *,
     spot_mm: float = 0.6,
 ) -> Float[Tensor, "*b h w"]:
-    """Line integrals under a focal spot that is a Gaussian of FWHM ``spot_mm``.
+    """Blur line integrals by a focal spot that is a Gaussian with FWHM ``spot_mm``.
 
-    The penumbra in the detector plane is that of the middle of the CT, spot ODD / SOD (z_obj over z_s - z_obj), for
-    all of the patient.
+    The whole patient gets the penumbra of the centre of the CT: spot ODD / SOD, which is z_obj / (z_s - z_obj), in the
+    detector plane. ``parameters`` are the nine parameters (mm, rad). Raises ``RegtorchError`` for a negative or
+    infinite spot, or if the CT is not between detector and source.
     """
     _check(spot_mm, "focal spot")
     sdd, odd = float(parameters[2]), float(parameters[5])
@@ -49,12 +53,17 @@ def add_scatter(
     scatter_to_primary: float = 0.3,
     width_mm: float = 50.0,
 ) -> Float[Tensor, "*b h w"]:
-    """Line integrals under a haze of photons that the patient scattered.
+    """Add the photons that the patient scatters to line integrals.
 
-    They come from p exp(-p), what is scattered once and gets out (Ohnesorge et al. 1999): air sends none. They are
-    spread by a Gaussian of standard deviation ``width_mm`` in the detector plane. ``scatter_to_primary`` is their ratio
-    behind a wide uniform patient of 20 cm of water (p = 4); it grows as p does. I0 stays that of the primary beam, so
-    bare detector beside a patient may go below 0.
+    The scatter source is p exp(-p), the photons scattered once that leave the patient (Ohnesorge et al. 1999); air
+    scatters none. I0 stays that of the primary beam, so line integrals beside the patient may become negative. Raises
+    ``RegtorchError`` for a negative or infinite ratio or width.
+
+    Args:
+        line_integrals: Primary beam.
+        detector: Gives the pixel size.
+        scatter_to_primary: Ratio behind a wide uniform patient of 20 cm of water (p = 4); it is proportional to p.
+        width_mm: Standard deviation of the Gaussian spread in the detector plane.
     """
     _check(scatter_to_primary, "scatter-to-primary ratio", unit="")
     _check(width_mm, "scatter width")
@@ -73,21 +82,21 @@ def _log(intensity: Float[Tensor, "*b h w"], like: Float[Tensor, "*b h w"]) -> F
 
 
 def _gaussian(image: Float[Tensor, "*b h w"], sigma: float) -> Float[Tensor, "*b h w"]:
-    """Blurred by ``sigma`` pixels; the image goes on mirrored at its borders, so nothing is lost there."""
+    """Blur by ``sigma`` pixels; the image is mirrored at its borders, so its sum is kept."""
     rows, columns = (_heat(n, sigma).to(image) for n in image.shape[-2:])
     return rows @ image @ columns
 
 
 def _heat(n: int, sigma: float) -> Float[Tensor, "n n"]:
-    """Discrete Gaussian (Lindeberg 1990): exp(sigma^2 / 2 of the second difference), whose modes are cosines.
+    """Matrix of the discrete Gaussian (Lindeberg 1990): exp(sigma^2 / 2 times the second difference).
 
-    Unlike a sampled Gaussian it is right for a sigma far below a pixel.
+    Its modes are cosines. Unlike a sampled Gaussian it is right for a sigma far below one pixel.
     """
     mode = torch.arange(n, dtype=torch.float64)
     cosines = torch.cos(math.pi / n * mode[:, None] * (mode + 0.5))
     cosines = cosines / cosines.norm(dim=1, keepdim=True)
     decay = torch.exp(sigma**2 * (torch.cos(math.pi / n * mode) - 1))
-    # Weights that should be 0 are so but for rounding, of either sign, which a dense shadow would show.
+    # Rounding makes some weights slightly negative instead of 0, which would show in a dense shadow.
     return ((cosines.mT * decay) @ cosines).clamp(min=0)
 
 

@@ -1,4 +1,4 @@
-"""Other things in the beam: wires and catheters across the image and one dense block, as of an instrument."""
+"""Devices in the beam: wires and catheters across the image, and one dense block like an instrument."""
 
 import math
 from itertools import pairwise
@@ -26,10 +26,20 @@ def add_devices(
     block_line_integral: float = 4.0,
     generator: torch.Generator,
 ) -> tuple[Float[Tensor, "h w"], Bool[Tensor, "h w"]]:
-    """Line integrals with ``count`` curved wires from border to border, and the pixels that any device covers.
+    """Add curved wires from border to border and a block to line integrals; also return the covered pixels.
 
-    All sizes are the shadows', in mm in the detector plane. A wire is a cylinder of a diameter drawn from
-    ``width_mm``, whose chord adds ``metal_per_mm`` for every mm; the block is a rectangle of at most 12 x 30 mm.
+    All sizes are those of the shadows, in mm in the detector plane. Raises ``RegtorchError`` for a negative count,
+    widths that are not positive, or an image of another shape than the detector's.
+
+    Args:
+        line_integrals: The image.
+        detector: Its detector.
+        count: Number of wires.
+        width_mm: Least and largest diameter; a wire is a cylinder with a diameter drawn from this range.
+        metal_per_mm: Line integral for each mm of a wire's chord.
+        block: Whether to add a rectangle of at most 12 x 30 mm.
+        block_line_integral: Line integral of the block.
+        generator: Source of random numbers.
     """
     if not (count >= 0 and 0 < width_mm[0] <= width_mm[1] < math.inf):
         raise RegtorchError(f"{count} wires, {width_mm[0]:g} to {width_mm[1]:g} mm wide: expected widths over 0")
@@ -47,12 +57,12 @@ def add_devices(
 
 
 def _pixels_mm(detector: Detector) -> tuple[Float[Tensor, " h"], Float[Tensor, " w"]]:
-    """Distance of rows and columns from the image's upper left corner."""
+    """Distance of rows and of columns from the upper left corner of the image, mm."""
     return tuple((torch.arange(n).double() + 0.5) * detector.pixel_mm for n in (detector.rows, detector.columns))
 
 
 def _curve_mm(detector: Detector, generator: torch.Generator) -> Float[Tensor, "n 2"]:
-    """Points (down, across) of a cubic Bezier curve from one border to the opposite one, and beyond both."""
+    """Points (down, across), mm, on a cubic Bezier curve from beyond one border to beyond the opposite one."""
     size = torch.tensor([detector.rows, detector.columns], dtype=torch.float64) * detector.pixel_mm
     along = int(torch.rand((), generator=generator) < 0.5)
     control = torch.rand(4, 2, generator=generator, dtype=torch.float64)
@@ -63,7 +73,7 @@ def _curve_mm(detector: Detector, generator: torch.Generator) -> Float[Tensor, "
 
 
 def _distance_mm(curve: Float[Tensor, "n 2"], detector: Detector, reach: float) -> Float[Tensor, "h w"]:
-    """From every pixel to the curve, where it is less than ``reach``; infinite elsewhere."""
+    """Distance in mm from each pixel to the curve within ``reach``; infinite for pixels further away."""
     down, across = _pixels_mm(detector)
     distance = torch.full((detector.rows, detector.columns), math.inf, dtype=torch.float64)
     for start, end in pairwise(curve):
@@ -82,7 +92,7 @@ def _distance_mm(curve: Float[Tensor, "n 2"], detector: Detector, reach: float) 
 
 
 def _chord_mm(distance: Float[Tensor, "h w"], radius: float, pixel_mm: float) -> Float[Tensor, "h w"]:
-    """Mean chord of a cylinder over a pixel across it, so that its mass is kept however thin it is."""
+    """Chord of a cylinder averaged over the width of a pixel, which keeps the mass of thin cylinders."""
 
     def area(x: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
         x = x.clamp(-radius, radius)
@@ -92,7 +102,7 @@ def _chord_mm(distance: Float[Tensor, "h w"], radius: float, pixel_mm: float) ->
 
 
 def _block(detector: Detector, generator: torch.Generator) -> Float[Tensor, "h w"]:
-    """Coverage by a rectangle in the middle 70 % of the image, turned at random."""
+    """Share of each pixel covered by a randomly turned rectangle, centred in the middle 70 % of the image."""
     place, size = torch.rand(2, 2, generator=generator, dtype=torch.float64)
     angle = math.pi * float(torch.rand((), generator=generator, dtype=torch.float64))
     low, high = torch.tensor(_BLOCK_MM, dtype=torch.float64).T

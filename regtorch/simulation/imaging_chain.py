@@ -1,4 +1,4 @@
-"""A whole radiograph with all that makes a real one unlike a DRR, and the truth about it."""
+"""A realistic radiograph: a DRR with every effect of this package, and its true geometry."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,7 +18,7 @@ from regtorch.simulation.soft_tissue import move_soft_tissue
 from regtorch.simulation.text import add_text
 
 _LEFT, _RIGHT = (0.06, 0.06), (0.06, 0.89)
-"""Where letters go: on the patient's right in PA and AP."""
+"""Position of the letters (shares of height and width): on the patient's right in PA and AP."""
 
 
 def realistic(
@@ -40,11 +40,29 @@ def realistic(
     full_scale: float = 0.5,
     text: str = "R",
 ) -> Simulation:
-    """``simulate`` of the whole CT and then, in their order, the effects on the beam and on its image.
+    """Simulate a radiograph of the whole CT with the effects of a real beam and detector.
 
-    Soft tissue moves, bones stay; devices; focal spot; scatter; photons are counted; the detector's blur (which the
-    noise shares), gain, and range, which air overexposes; letters. An effect whose argument is 0, None or "" is left
-    out and changes none of the others' random numbers. Parameters, matrix and targets are ``simulate``'s.
+    Effects apply in the order of their arguments. An effect whose argument is 0, None or "" is left out, without any
+    change to the random numbers of the others. Parameters, matrix and targets are those of ``simulate``. Raises
+    ``RegtorchError`` as ``simulate`` and the single effects do.
+
+    Args:
+        ct: In HU.
+        parameters: The nine parameters (mm, rad).
+        view: How the patient stands at zero rotation.
+        detector: The whole detector, centred on (0, 0).
+        seed: Seed of all random numbers.
+        targets: Named points (LPS mm); by default, points spread over the bones.
+        soft_tissue_mm: RMS length of the movement of soft tissue; bones stay.
+        devices: Number of wires; a block is added too.
+        spot_mm: FWHM of the focal spot.
+        scatter_to_primary: Ratio behind 20 cm of water.
+        photons: Per pixel of the open beam; adds quantum noise.
+        fwhm_mm: FWHM of the detector's point spread, which blurs the noise too.
+        gain_rms: Relative deviation of the pixels' gain.
+        bits: Bits of a stored count.
+        full_scale: Intensity of the highest count, as a share of the open beam; 0.5 overexposes air.
+        text: Letters in the image.
     """
     root = torch.Generator().manual_seed(seed)
     seeds = torch.randint(2**62, (4,), generator=root).tolist()

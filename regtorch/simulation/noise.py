@@ -1,4 +1,4 @@
-"""Quantum noise."""
+"""Quantum noise of a radiograph."""
 
 import math
 
@@ -12,7 +12,11 @@ from regtorch.errors import RegtorchError
 def add_quantum_noise(
     line_integrals: Float[Tensor, "*b h w"], photons: float, generator: torch.Generator
 ) -> Float[Tensor, "*b h w"]:
-    """Line integrals as counted: Poisson of ``photons`` exp(-L) per pixel, logarithm taken; no count stands for one."""
+    """Replace line integrals L by log(photons / n), where n is a Poisson count with mean ``photons`` exp(-L).
+
+    A count of 0 is taken as 1. Raises ``RegtorchError`` unless ``photons``, per pixel of the open beam, is at least 1
+    and finite.
+    """
     if not 1 <= photons < math.inf:
         raise RegtorchError(f"{photons:g} photons per pixel: expected at least 1")
     counts = torch.poisson(photons * torch.exp(-line_integrals.double()), generator=generator)

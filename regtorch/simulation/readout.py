@@ -1,4 +1,4 @@
-"""The detector's electronics: gain, offset, and a count of limited range."""
+"""Effects of the detector's electronics: gain, offset, and digital counts of limited range."""
 
 import math
 
@@ -17,10 +17,16 @@ def add_gain_and_offset(
     gain_rms: float = 0.005,
     generator: torch.Generator,
 ) -> Float[Tensor, "*b h w"]:
-    """Line integrals of a signal gain I + offset: the rest of both in a badly calibrated detector.
+    """Line integrals of the signal gain I + offset, as of an imperfectly calibrated detector.
 
-    ``gain`` is that of the whole detector, about which pixels scatter by the share ``gain_rms``; ``offset`` is a dark
-    signal, as a share of the open beam.
+    Raises ``RegtorchError`` unless ``gain`` is positive and neither ``offset`` nor ``gain_rms`` is negative.
+
+    Args:
+        line_integrals: The image.
+        gain: Mean gain of the detector.
+        offset: Dark signal, as a share of the open beam.
+        gain_rms: Relative deviation of the pixels' gain from the mean.
+        generator: Source of random numbers.
     """
     if not (0 < gain < math.inf and 0 <= offset < math.inf and 0 <= gain_rms < math.inf):
         raise RegtorchError(
@@ -36,10 +42,11 @@ def add_gain_and_offset(
 def digitise(
     line_integrals: Float[Tensor, "*b h w"], *, bits: int = 12, full_scale: float = 1.0
 ) -> tuple[Int[Tensor, "*b h w"], Float[Tensor, "*b h w"]]:
-    """Counts of ``bits`` bits, linear in the intensity, and the line integrals that one reads off them.
+    """Counts of ``bits`` bits, linear in the intensity, and the line integrals read from them.
 
-    An intensity of ``full_scale`` (of the open beam) or more gives the highest count, 2^bits - 1, as overexposed air
-    does; a count of 0 is read as half a one. Both stay on I0 of the open beam: p = -log(full_scale count / highest).
+    An intensity of ``full_scale`` (share of the open beam) or more gives the highest count, 2^bits - 1, as in
+    overexposed air. A count of 0 is read as 0.5. I0 stays that of the open beam: p = -log(full_scale count / highest).
+    Raises ``RegtorchError`` unless ``bits`` is 1 to 16 and ``full_scale`` is positive.
     """
     if not 1 <= bits <= 16:
         raise RegtorchError(f"{bits} bits: expected 1 to 16")

@@ -1,4 +1,4 @@
-"""A radiograph of a CT from a geometry drawn at random, and the truth about it (section 2.3.1 of the paper)."""
+"""A simulated radiograph of a CT from a random geometry, with its truth (section 2.3.1 of the paper)."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from regtorch.imaging.points import spread_points
 from regtorch.simulation.noise import add_quantum_noise
 
 RANGES = (25.0, 25.0, 50.0, 25.0, 25.0, 50.0, *(math.radians(5),) * 3)
-"""Half ranges of the nine parameters (mm, rad) about the protocol's."""
+"""Half ranges of the nine parameters (mm, rad) around those of the protocol."""
 
 DETECTOR = Detector(500, 500, 0.7)
 
@@ -29,7 +29,17 @@ _DRAWS = 100
 
 @dataclass(frozen=True)
 class Simulation:
-    """``image``: line integrals seen from the source. ``targets`` (LPS mm) are the ones in the image."""
+    """A simulated radiograph and its truth.
+
+    Args:
+        image: Line integrals seen from the source.
+        parameters: The nine parameters (mm, rad).
+        detector: The whole detector.
+        view: How the patient stands at zero rotation.
+        pixel_from_patient: Projection from LPS mm to (column, row).
+        targets: Named points (LPS mm) that lie inside the image.
+        seed: Seed of all random numbers.
+    """
 
     image: Float[Tensor, "h w"]
     parameters: Float[Tensor, "9"]
@@ -40,7 +50,7 @@ class Simulation:
     seed: int
 
     def to_dict(self) -> dict[str, Any]:
-        """As written to ``truth.json``: plain values, mm and degrees."""
+        """The content of ``truth.json``: plain values in mm and degrees, without the image."""
         return {
             "parameters": parameters_to_dict(self.parameters),
             "view": self.view,
@@ -60,7 +70,7 @@ class Simulation:
 def draw_parameters(
     middle: Float[Tensor, "9"], half_range: Float[Tensor, "9"], generator: torch.Generator
 ) -> Float[Tensor, "9"]:
-    """Nine parameters (mm, rad), each uniform within its half range of the middle."""
+    """Draw nine parameters (mm, rad), each uniformly within its half range of the middle."""
     uniform = 2 * torch.rand(9, generator=generator, dtype=torch.float64) - 1
     return middle.double() + uniform * half_range.double()
 
@@ -68,9 +78,10 @@ def draw_parameters(
 def draw_geometry(
     ct: Volume, middle: Float[Tensor, "9"], half_range: Float[Tensor, "9"], view: str, generator: torch.Generator
 ) -> Float[Tensor, "9"]:
-    """``draw_parameters``, until the bones lie before the detector and the patient before the source, each as a box.
+    """Repeat ``draw_parameters`` until no bone is behind the detector and the patient does not reach the source.
 
-    The first draw is kept if it will do. Raises ``RegtorchError`` after 100 that will not.
+    Boxes around bone and body stand for them. The first valid draw is returned. Raises ``RegtorchError`` after 100
+    invalid draws.
     """
     bone, body = corners_ct(ct, BONE_HU), corners_ct(ct, BODY_HU)
     for _ in range(_DRAWS):
@@ -96,10 +107,20 @@ def simulate(
     targets: Mapping[str, tuple[float, float, float]] | None = None,
     seed: int = 0,
 ) -> Simulation:
-    """Render a radiograph by Siddon's method, from the whole CT or its voxels above ``threshold_hu``.
+    """Render a radiograph by Siddon's method.
 
-    ``photons`` per pixel of the open beam adds quantum noise, drawn from ``seed``. ``targets`` (LPS mm) default to
-    points spread over the bones; raises ``RegtorchError`` when the image shows none of them.
+    Raises ``RegtorchError`` for a cropped detector, for a CT in which nothing attenuates, or if no target is in the
+    image.
+
+    Args:
+        ct: In HU.
+        parameters: The nine parameters (mm, rad).
+        view: How the patient stands at zero rotation.
+        detector: The whole detector, centred on (0, 0).
+        threshold_hu: Voxels below this are left out; None keeps all tissue.
+        photons: Per pixel of the open beam, for quantum noise; None adds no noise.
+        targets: Named points (LPS mm); by default, points spread over the bones.
+        seed: Seed of the noise.
     """
     parameters = parameters.double()
     if detector.centre_mm != (0.0, 0.0):
@@ -119,6 +140,6 @@ def simulate(
 
 
 def bone_points(ct: Volume) -> dict[str, tuple[float, float, float]]:
-    """Targets (LPS mm) spread over the bones, for a CT where nobody named any."""
+    """Targets (LPS mm) spread over the bones, for a CT without named targets."""
     points = spread_points(attenuation(ct), _TARGETS).tolist()
     return {f"bone {number}": (x, y, z) for number, (x, y, z) in enumerate(points, 1)}

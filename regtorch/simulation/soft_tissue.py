@@ -1,4 +1,4 @@
-"""Soft tissue that breathing and posture moved since the CT, about bones that stayed where they were."""
+"""Movement of soft tissue between CT and radiograph, by breathing and posture, while the bones stay."""
 
 import math
 
@@ -12,9 +12,9 @@ from regtorch.imaging import Volume
 
 _WAVES = 48
 _NODES_PER_WAVE = 12
-"""Nodes of the field's grid per wavelength: between them it is interpolated to 3 % at worst."""
+"""Grid nodes per wavelength of the field; interpolation between them errs by 3 % at most."""
 _TISSUE_HU = -300.0
-"""Denser voxels outside bone are soft tissue; the rest is lung and air."""
+"""Denser voxels that are not bone are soft tissue; the rest is lung and air."""
 _SLAB = 16
 
 
@@ -27,11 +27,19 @@ def move_soft_tissue(
     rim_mm: float = 2.0,
     generator: torch.Generator,
 ) -> Volume:
-    """The CT (HU) with all but its bones warped by a smooth random field of ``rms_mm`` RMS length over the body.
+    """Warp all of the CT except its bones by a smooth random field, a sum of plane waves.
 
-    The field is a sum of plane waves, each ``wavelength_mm`` to twice that long. Bone is everything over ``bone_hu``,
-    with holes up to ``rim_mm`` closed: it keeps its values exactly, and so does soft tissue within ``rim_mm`` of it.
-    Before the warp the soft tissue around it is continued into where it is, so that none of the bone moves along.
+    Bone keeps its values exactly, and so does soft tissue close to it. Before the warp, bone is replaced by the soft
+    tissue around it, so that no bone moves along. Raises ``RegtorchError`` for a volume that is not one CT in HU, for
+    negative lengths, or if there is no soft tissue.
+
+    Args:
+        ct: In HU.
+        rms_mm: RMS length of the displacement over the body.
+        wavelength_mm: Shortest wavelength; the longest is twice as long.
+        bone_hu: Voxels above this are bone.
+        rim_mm: Holes in bone up to this size are closed; soft tissue within this distance of bone stays.
+        generator: Source of random numbers.
     """
     if ct.unit != "HU" or ct.data.ndim != 3:
         raise RegtorchError(f"{ct.name}: expected one volume in HU")
@@ -46,7 +54,7 @@ def move_soft_tissue(
     bone = ~_dilated(~grown, radii)
     around = ~_dilated(~_dilated(grown, radii), radii)
     moved = _warp(_fill(ct.data, around, ct.name), field)
-    # The lung beside a rib is not kept: between the rib and the chest wall that moved it would be a slit of air.
+    # Lung beside a rib is not kept, or it would form a slit of air between the rib and the moved chest wall.
     kept = around.logical_and_(ct.data > _TISSUE_HU).logical_or_(bone)
     return ct.with_data(torch.where(kept, ct.data, moved))
 
@@ -54,7 +62,7 @@ def move_soft_tissue(
 def _displacement(
     ct: Volume, rms_mm: float, wavelength_mm: float, generator: torch.Generator
 ) -> Float[Tensor, "3 kc jc ic"]:
-    """Displacements (i, j, k) in voxels on a coarse grid whose first and last nodes are the volume's corners."""
+    """Displacements (i, j, k) in voxels on a coarse grid that spans the volume from corner to corner."""
     direction, amplitude = torch.randn(2, _WAVES, 3, generator=generator, dtype=torch.float64)
     uniform, phase = torch.rand(2, _WAVES, generator=generator, dtype=torch.float64)
     per_mm = 2 * math.pi / (wavelength_mm * (1 + uniform))
@@ -78,7 +86,7 @@ def _displacement(
 
 
 def _dilated(mask: Bool[Tensor, "d h w"], radii: list[int]) -> Bool[Tensor, "d h w"]:
-    """By a box of ``radii`` voxels to either side; nothing comes in over the border."""
+    """Dilate by a box of ``radii`` voxels to either side; outside the volume the mask is false."""
     for axis, radius in enumerate(radii):
         grown, size = mask.clone(), mask.shape[axis]
         for shift in range(1, min(radius, size - 1) + 1):
@@ -89,9 +97,9 @@ def _dilated(mask: Bool[Tensor, "d h w"], radii: list[int]) -> Bool[Tensor, "d h
 
 
 def _fill(data: Float[Tensor, "d h w"], bone: Bool[Tensor, "d h w"], name: str) -> Float[Tensor, "d h w"]:
-    """Soft tissue in the place of bone: its average over the smallest block, 2^n voxels wide, that holds any.
+    """Replace bone by the mean of the soft tissue in the smallest block, 2^n voxels wide, that contains any.
 
-    Lung is not continued: next to a rib that stays, the tissue that comes from within it leaves no gap.
+    Lung does not count. So tissue, not a gap, moves out from behind a rib that stays.
     """
     known = (data > _TISSUE_HU) & ~bone
     if not bool(known.any()):
@@ -109,7 +117,7 @@ def _fill(data: Float[Tensor, "d h w"], bone: Bool[Tensor, "d h w"], name: str) 
 
 
 def _warp(data: Float[Tensor, "d h w"], field: Float[Tensor, "3 kc jc ic"]) -> Float[Tensor, "d h w"]:
-    """data(x + field(x)), slab by slab; beyond its border the volume goes on as it ends."""
+    """data(x + field(x)), slab by slab; border values continue beyond the volume."""
     shape = data.shape
     size = data.new_tensor(shape[::-1])
     planes = interpolate(field, size=shape[1:], mode="bilinear", align_corners=True)

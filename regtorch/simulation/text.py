@@ -1,4 +1,4 @@
-"""Letters burnt into a radiograph, such as the marker of the patient's side."""
+"""Letters burnt into a radiograph, such as a side marker."""
 
 import math
 
@@ -21,10 +21,17 @@ def add_text(
     place: tuple[float, float] = (0.06, 0.06),
     line_integral: float | None = None,
 ) -> tuple[Float[Tensor, "h w"], Bool[Tensor, "h w"]]:
-    """Line integrals with letters in Pillow's own font, all of one value, and the pixels that they replace.
+    """Draw letters in Pillow's own font onto line integrals; also return the pixels that they replace.
 
-    ``place`` is where the upper left corner of the letters lies, as shares of the image's height and width;
-    ``height_mm`` is the height of the letters. The value is the image's highest unless ``line_integral`` is given.
+    Raises ``RegtorchError`` for empty text, a height that is not positive, or a place outside the image.
+
+    Args:
+        line_integrals: The image.
+        detector: Gives the pixel size.
+        text: The letters.
+        height_mm: Height of the drawn letters in the detector plane.
+        place: Upper left corner of the letters, as shares of the image's height and width.
+        line_integral: Value of the letters; by default the highest value of the image.
     """
     if not text.strip() or not 0 < height_mm < math.inf:
         raise RegtorchError(f"text {text!r} of {height_mm:g} mm: expected letters and a positive height")
@@ -42,7 +49,7 @@ def add_text(
 
 
 def _letters(text: str, height: int) -> Bool[Tensor, "h w"]:
-    """The letters, ``height`` pixels high and cut to it."""
+    """The drawn letters, ``height`` pixels high, without margins."""
     font = ImageFont.load_default(4 * height)
     left, top, right, bottom = font.getbbox(text)
     canvas = Image.new("L", (math.ceil(right - left) + 2, math.ceil(bottom - top) + 2))

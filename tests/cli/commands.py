@@ -1,4 +1,4 @@
-"""Command lines that tests complete by the folders of input {i} and output {o}, and what runs them."""
+"""Command lines with placeholders for the folders of input {i} and output {o}, and a function that runs them."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the commands understand, and what they say about themselves."""
+"""The options of the commands and their help."""
 
 import math
 import subprocess
@@ -40,7 +40,7 @@ sys.exit(f"loads {heavy}" if heavy else 0)
 
 
 def test_what_is_said_of_defaults_is_what_the_package_does():
-    """The command line knows them by heart, so as to load nothing heavy."""
+    """The command line repeats these values, so that it need not import heavy modules."""
     found = parser().parse_args(REGISTER.split())
     angles = [math.radians(deg) for deg in found.rotation_range_deg]
     assert [*found.source_range_mm, *found.patient_range_mm, *angles] == pytest.approx(SEARCH)

@@ -1,4 +1,4 @@
-"""A result beside the truth, on the command line."""
+"""Comparison of a result with the truth, on the command line."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Output folders are written whole or not at all, and what else is in them stays."""
+"""Output folders are written whole or not at all, and other files in them stay."""
 
 import json
 import signal

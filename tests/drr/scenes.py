@@ -11,7 +11,7 @@ from regtorch.imaging import Volume
 
 
 def volume_of(data: torch.Tensor, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:
-    """Attenuation per mm on a grid along patient axes, its centre in the origin."""
+    """Attenuation per mm on a grid along the patient axes, centred on the origin."""
     patient_from_voxel = torch.diag(torch.tensor([*spacing, 1.0], dtype=torch.float64))
     last = torch.tensor([n - 1.0 for n in reversed(data.shape)], dtype=torch.float64)
     patient_from_voxel[:3, 3] = -last / 2 * torch.tensor(spacing, dtype=torch.float64)
@@ -58,6 +58,6 @@ def rays_in_ct(pose: torch.Tensor, detector: Detector, view: str) -> tuple[np.nd
 
 
 def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
-    """Difference over what is expected, by norm; over 1 where nothing is expected."""
+    """Norm of the difference, relative to the norm of the expected values, or absolute if these are all 0."""
     norm = float(expected.double().norm())
     return float((found.double() - expected.double()).norm()) / (norm if norm > 0 else 1)

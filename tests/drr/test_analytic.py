@@ -26,7 +26,7 @@ POSES = {
 
 
 def _chords(half: np.ndarray, source: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """How long the way from the source to each pixel is inside a box about the origin."""
+    """Length inside a box around the origin of the ray from the source to each pixel."""
     way = pixels - source
     with np.errstate(divide="ignore", invalid="ignore"):
         to_faces = np.stack([(-half - source) / way, (half - source) / way])

@@ -1,4 +1,4 @@
-"""The front door: shapes, which backend is taken, what is refused."""
+"""``render``: shapes, choice of the backend, refused input."""
 
 import pytest
 import torch

@@ -41,7 +41,7 @@ def itk() -> ModuleType:
 
 @pytest.fixture(scope="module")
 def bone(data_folder) -> Volume:
-    """A real CT above 100 HU at 3 mm, with air around it: how a projector treats the outermost voxels is its own."""
+    """A real CT above 100 HU at 3 mm, with air around it, because projectors treat the outermost voxels differently."""
     coarse = coarsen(attenuation(read_volume(data_folder / "fda_thorax_phantom.nii.gz")), 3.0)
     patient_from_voxel = coarse.patient_from_voxel.clone()
     patient_from_voxel[:, 3] = coarse.patient_from_voxel @ torch.tensor([-2, -2, -2, 1.0], dtype=torch.float64)

@@ -22,7 +22,7 @@ def _in_float64(volume: Volume) -> Volume:
 
 
 def _repeated(volume: Volume, i: int, k: int) -> Volume:
-    """Each voxel cut into i x k of the same value; the beam's main axis, j, is left alone."""
+    """Each voxel split into i x k voxels of the same value; the main axis of the beam, j, is not split."""
     data = volume.data.repeat_interleave(i, dim=2).repeat_interleave(k, dim=0)
     voxel_from_part = torch.diag(torch.tensor([1 / i, 1, 1 / k, 1], dtype=torch.float64))
     voxel_from_part[0, 3], voxel_from_part[2, 3] = (1 / i - 1) / 2, (1 / k - 1) / 2

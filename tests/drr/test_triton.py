@@ -60,7 +60,7 @@ def _weights(*shape: int) -> torch.Tensor:
 
 @cache
 def _expected(method: str, turn: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Images, and the derivatives of their sum with ``_weights`` by the rays and by the voxels: all float64."""
+    """Images, and the derivatives of their sum weighted by ``_weights``, by rays and by voxels, all in float64."""
     data, rays = _classes().double().requires_grad_(), _rays(_poses(turn)).requires_grad_()
     images = reference.project(data, rays, VOLUME.grid, DETECTOR.rows, DETECTOR.columns, method)
     by_rays, by_data = torch.autograd.grad((images * _weights(*images.shape)).sum(), (rays, data))

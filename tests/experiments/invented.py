@@ -10,7 +10,7 @@ _DEFAULT = np.array([0, 0, 1000, 0, 0, 300, 0, 0, 0])
 
 
 def simulation_rows(seeds: int, arms: dict[str, int], views: tuple[str, ...] = ("PA", "LAT")) -> pd.DataFrame:
-    """A merged table; ``arms`` are degrees of freedom by name. All PDEs differ; arms of like freedom differ, too."""
+    """A merged table; ``arms`` gives degrees of freedom by name. All PDEs differ, also between equal arms."""
     parts = []
     for number, (arm, dof) in enumerate(arms.items()):
         for view in views:

@@ -1,4 +1,4 @@
-"""Every command says on --help what it does; user errors end in one line."""
+"""Every command describes itself on --help; user errors end in one line."""
 
 import os
 import subprocess
@@ -30,7 +30,7 @@ def test_help_says_what_the_command_does(command):
 
 def test_help_of_a_study_has_its_settings_with_comments_and_its_groups():
     done = _run("experiments.simulation_study", "--help")
-    assert "threshold_hu: 100.0            # of DRRs: T" in done.stdout
+    assert "threshold_hu: 100.0            # threshold T of DRRs" in done.stdout
     assert "least_targets: 2  " in done.stdout
     assert "registration: cmaes, cmaes_full, hybrid (default)" in done.stdout
     assert "radiograph: matched (default), realistic" in done.stdout

@@ -95,7 +95,7 @@ def test_refusals(tmp_path: Path, ct_slice: Slices, message: str, capfd: pytest.
 
 
 def test_padding_denser_than_bone_is_air(tmp_path: Path, ct_slice: Slices) -> None:
-    """-2000 kept as an unsigned number; padding that is air, or what water is, stays what it is."""
+    """Padding of -2000 stored as an unsigned number becomes air; padding with the value of air or water stays."""
     stored = np.arange(20, dtype=np.uint16).reshape(4, 5)
     stored[0, :2] = 63536
     for padding, vr in ((63536, "US"), (-2000, "SS")):

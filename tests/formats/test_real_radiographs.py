@@ -1,4 +1,4 @@
-"""The four real radiographs: what their headers hold and fail to hold, and what the pictures show."""
+"""The four real radiographs: contents and gaps of their headers, and contents of the images."""
 
 from pathlib import Path
 

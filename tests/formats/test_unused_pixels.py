@@ -1,4 +1,4 @@
-"""What is padded or behind a shutter does not count, and hides nothing of the rest."""
+"""Padding and pixels behind a shutter have no weight and do not affect other pixels."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -32,7 +32,7 @@ def test_shutter_and_padding(radiograph_file: File) -> None:
     ],
 )
 def test_shutters_of_other_shapes(radiograph_file: File, shape: str, tags: dict, inside: tuple, outside: tuple) -> None:
-    """At (row, column) counted from 0; what they hide does not make the rest darker."""
+    """Shuttered pixels at (row, column) from 0; their values do not make other pixels darker."""
     stored = np.arange(8000, dtype=np.uint16).reshape(100, 80) + 1000
     path = radiograph_file(stored, ShutterShape=shape, PixelIntensityRelationship="LIN", **tags)
     radiograph = read_radiograph(path, view="PA")
@@ -49,7 +49,7 @@ def test_shutters_of_other_shapes(radiograph_file: File, shape: str, tags: dict,
 
 
 def test_padding_hides_no_collimator(radiograph_file: File) -> None:
-    """Nor does it take the range of greys."""
+    """Padding does not use up the grey range."""
     image = collimated(torso(), (40, 400, 0, 360), 6.5)
     stored = (1000 + 3000 * (image - image.min()) / (image.max() - image.min())).numpy().astype(np.uint16)
     whole = read_radiograph(radiograph_file(stored), view="PA")

@@ -1,4 +1,4 @@
-"""NIfTI, NRRD and MHA: any orientation there and back, and nothing broken comes in."""
+"""NIfTI, NRRD and MHA: round trips in any orientation; broken files are refused."""
 
 from pathlib import Path
 
@@ -127,7 +127,7 @@ def _edited(path: Path, version: int, **fields: np.ndarray) -> Path:
 
 @pytest.mark.parametrize("axes", AXES)
 def test_a_nifti_that_tells_two_places_is_refused(tmp_path: Path, axes: str) -> None:
-    """Readers differ in which they believe."""
+    """Other readers differ in their choice between sform and qform."""
     write_volume(path := tmp_path / "ct.nii", volume_of(AXES[axes]))
     sform = np.frombuffer(path.read_bytes(), "<f4", 12, 280).reshape(3, 4).copy()
     both = {"qform_code": np.array(1, "<i2"), "sform_code": np.array(1, "<i2")}

@@ -1,4 +1,4 @@
-"""The twelve numbers per pose against the projection matrix."""
+"""The twelve numbers that describe the rays of a pose, against the projection matrix."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""Sound images pass without a word; each fault gets its sentence."""
+"""Sound images give no warning; each fault gives its own."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -61,7 +61,7 @@ def test_burnt_in_shutter() -> None:
 @pytest.mark.parametrize("tilt", [-7, 6])
 @pytest.mark.parametrize("sharpened", [0.0, 1.5])
 def test_collimator_beyond_which_scatter_falls(scatter: float, tilt: int, sharpened: float) -> None:
-    """So that much in the field is brighter than beyond it; letters are brightest."""
+    """Much of the field is brighter than the area behind the collimator, and letters are brightest."""
     box = (50, 350, 40, 300)
     beam = collimated(torch.ones(400, 360), box, 0.01, noise=0)
     turned = torch.arange(400)[:, None] + torch.linspace(-tilt / 2, tilt / 2, 360).round().long()
@@ -89,7 +89,7 @@ def test_no_collimator_no_crop(margin: int) -> None:
 
 
 def test_a_straight_bone_with_air_beyond_it_is_no_collimator() -> None:
-    """Cut by the border, and brighter than what is beside it on the whole."""
+    """Cut by the border, and brighter on the whole than the area beside it."""
     image = torso()
     image[:, 300:330] = 5
     image[:, 330:] = 0
@@ -105,7 +105,7 @@ def test_no_field_is_left_of_air_alone() -> None:
 
 @pytest.mark.parametrize("beyond", ["plain, nothing left", "rich in detail"])
 def test_a_straight_bright_border_need_not_be_a_collimators(beyond: str) -> None:
-    """A shield on air; anatomy cut straight, as a spine is, beside little."""
+    """A shield over air; straight anatomy, like a spine, cut by the border beside almost nothing."""
     image = 0.01 * torch.randn((400, 360), generator=torch.Generator().manual_seed(0))
     image[:60] += 5
     if beyond == "rich in detail":

@@ -105,7 +105,7 @@ def test_coarsening_keeps_mass(spacing_mm: float) -> None:
 
 @pytest.mark.parametrize(("spacing_mm", "off"), [(2.1, 1e-6), (6.3, 1e-6), (1.5, 0.05), (3.2, 0.05)])
 def test_coarsening_keeps_place(spacing_mm: float, off: float) -> None:
-    """The mean of a ramp over a voxel is its value at the voxel's centre, nearly so where voxels are shared out."""
+    """The mean of a ramp over a voxel is the value at its centre, or nearly so if old voxels are split."""
     fine = volume_of(torch.zeros(11, 18, 27), (0.7, 1.05, 6.3))
     ramp = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
     coarse = coarsen(fine.with_data(places(fine) @ ramp, unit="per_mm"), spacing_mm)

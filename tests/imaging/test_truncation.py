@@ -1,4 +1,4 @@
-"""A body that goes on beyond its CT."""
+"""A body that continues beyond its CT."""
 
 import pytest
 import torch

@@ -15,7 +15,7 @@ def _signal(x: torch.Tensor) -> torch.Tensor:
 
 
 def _equations(clutter: float):
-    """Correlation of the signal with one at TRUE under which lies something that no parameter explains."""
+    """Correlation of the signal with the signal at TRUE plus a disturbance that no parameter explains."""
     noise = torch.randn(200, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     fixed = _signal(TRUE) + clutter * noise
     fixed = fixed / fixed.norm()
@@ -66,7 +66,7 @@ def test_limits_hold_and_the_rest_is_still_sought():
 
 
 def test_a_step_that_a_limit_cuts_off_is_no_sign_of_an_end():
-    """The first step wants far beyond the limit, and gains next to nothing on the way to it."""
+    """The first step aims far beyond the limit and gains almost nothing up to it."""
     upper = torch.tensor([1.0 + 1e-9, 1.0], dtype=torch.float64)
 
     def equations(points):

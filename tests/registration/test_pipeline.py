@@ -1,4 +1,4 @@
-"""The verb: a small registration end to end, and what it does with what it is told."""
+"""``register``: a small registration end to end, and the effect of its options."""
 
 import math
 from dataclasses import replace
@@ -24,7 +24,7 @@ SMALL = partial(cmaes, starts=8, generations=20, pixels=(24, 40), survivors=2, f
 
 
 class Told:
-    """A method that searches nothing and remembers what it was given."""
+    """A method that does not search but records its problem."""
 
     def __call__(self, problem):
         self.problem = problem
@@ -239,7 +239,7 @@ def test_bad_seeds_and_half_ranges_are_refused(pair):
 
 
 def test_numbers_that_are_none_are_refused(pair):
-    """Readers see to it; whoever makes images and CTs in Python may not."""
+    """Readers guarantee this; images and CTs made in Python may violate it."""
     image, data = pair.radiograph.image.clone(), pair.ct.data.clone()
     image[3, 4], data[20, 20, 20] = torch.nan, torch.nan
     with pytest.raises(RegtorchError, match="pixels or weights that are NaN"):

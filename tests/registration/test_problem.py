@@ -1,4 +1,4 @@
-"""What a search method is given: bounds, the free parameters among the nine, distances in the detector plane."""
+"""The input of a search method: bounds, the free parameters among the nine, distances in the detector plane."""
 
 from dataclasses import replace
 

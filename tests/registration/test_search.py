@@ -53,7 +53,7 @@ def _pde_mm(pair, parameters) -> float:
 
 
 def test_screening_finds_a_shift_in_the_plane_of_the_detector(pair):
-    """Nothing but the patient's x and y is off: the shift alone must bring the anatomy back."""
+    """Only the patient's x and y are wrong, so the shift alone must bring the anatomy back."""
     off = torch.zeros(9, dtype=torch.float64)
     off[3:5] = torch.tensor([70.0, -55.0])
     tiny = torch.full((9,), 1e-6, dtype=torch.float64)
@@ -115,7 +115,7 @@ def test_one_candidate_goes_on_where_the_first_level_convinces(pair):
 
 
 def test_voxels_of_siddons_method_have_edges_narrower_than_themselves(pair):
-    """At the truth, though they are smaller than a pixel; those of a radiograph of linear ones have not."""
+    """At the true pose the search finds the edges of Siddon's voxels, though voxels are smaller than a pixel."""
     detector, truth = Detector(44, 36, 8.0), pair.truth.parameters
     attenuating = pair.problem(list(range(9))).attenuating
     edges = {}
@@ -130,7 +130,7 @@ def test_voxels_of_siddons_method_have_edges_narrower_than_themselves(pair):
 
 
 def test_robust_weights_gain_much_where_the_residual_is_confined(pair):
-    """Nothing to gain where all is explained, much with a quarter of the image spoilt, little with all of it."""
+    """No gain if all is explained, a large gain if a quarter of the image is spoilt, a small one if all of it is."""
     truth, image = pair.truth.parameters, pair.radiograph.image
     spoils = 0.5 * image.max() * torch.rand(image.shape, generator=torch.Generator().manual_seed(0))
     quarter = torch.zeros_like(spoils)
@@ -148,7 +148,7 @@ def test_robust_weights_gain_much_where_the_residual_is_confined(pair):
 
 
 def test_what_bone_does_not_explain_may_be_soft_tissue(pair):
-    """It is everywhere in a radiograph of the whole CT, where all tissue explains it; in a wrong place it does not."""
+    """All tissue explains a radiograph of the whole CT at the true pose, but not at a wrong one."""
     truth = pair.truth.parameters
     image = simulate(pair.ct, truth, "PA", detector=DETECTOR, threshold_hu=None).image
     problem = pair.problem(list(range(9)), radiograph=Radiograph.from_image(image, DETECTOR))
@@ -161,7 +161,7 @@ def test_what_bone_does_not_explain_may_be_soft_tissue(pair):
 
 
 def test_bone_no_denser_than_the_threshold_is_found(pair):
-    """It has no contrast to soft tissue that is just less dense."""
+    """Such bone has no contrast to soft tissue that is only slightly less dense."""
     hu = pair.ct.data
     ct = pair.ct.with_data(torch.where(hu >= 100, 100.0, torch.where(hu > -300, 0.0, -1000.0)))
     truth = simulate(ct, pair.truth.parameters, "PA", detector=DETECTOR, threshold_hu=100.0)
@@ -171,7 +171,7 @@ def test_bone_no_denser_than_the_threshold_is_found(pair):
 
 
 def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
-    """One candidate cannot be confirmed by another."""
+    """A single candidate has no other candidate to confirm it."""
     method = small(poses=40, levels=(Stage(40, 24, 12), Stage(60, 1, 12), Stage(80, 1, 10)))
     settings = {"initial": pair.initial, "half_range": HALF_RANGE}
     lonely = register(pair.ct, pair.radiograph, "PA", method=method, **settings)
@@ -181,7 +181,7 @@ def test_more_poses_are_looked_at_where_the_first_do_not_convince(pair):
 
 
 def test_more_poses_are_looked_at_where_the_answer_does_not_convince(pair, monkeypatch):
-    """However well the first ones agreed: robust weights that gain little tell of a wrong place."""
+    """Even if the first starts agree, a small gain from robust weights indicates a wrong place."""
     monkeypatch.setattr(driver, "robust_gain", lambda *given: 1.25)
     settings = {"initial": pair.truth.parameters + FAR, "half_range": HALF_RANGE}
     found = register(pair.ct, pair.radiograph, "PA", method=SMALL, **settings)
@@ -202,7 +202,7 @@ def test_an_answer_that_all_tissue_explains_is_not_doubted_for_what_bone_does_no
 
 
 def test_the_rescue_climbs_without_slopes(pair):
-    """From 40 mm off, among places that lie wrong: each start ends as its own place, none below where it began."""
+    """Starts up to 40 mm off: each has its own end, and no end has a lower similarity than its start."""
     problem = pair.problem(list(range(9)), initial=pair.truth.parameters, half_range=HALF_RANGE)
     matcher = matcher_of(problem, problem.attenuating, 40)
     places = pair.truth.parameters + torch.stack([FAR / 4, FAR])
@@ -216,7 +216,7 @@ def test_the_rescue_climbs_without_slopes(pair):
 
 
 def test_the_rescue_confirms_nothing(pair):
-    """However good its end, it is no second start that agrees."""
+    """The end of the rescue does not count as a second start that agrees, however good it is."""
     method = small(poses=2, levels=(Stage(40, 1, 12), Stage(60, 1, 12), Stage(80, 1, 10)))
     settings = {"initial": pair.initial, "half_range": HALF_RANGE}
     upside_down = Radiograph.from_image(pair.radiograph.image.flip(0), DETECTOR)
@@ -227,7 +227,7 @@ def test_the_rescue_confirms_nothing(pair):
 
 
 def test_what_was_computed_twice_confirms_nothing(pair):
-    """With nothing but shifts free there is one pose to screen, however many are asked for."""
+    """If only the shifts are free, there is one pose to screen, whatever the number requested."""
     method = small(levels=(Stage(40, 1, 12), Stage(60, 1, 12), Stage(80, 1, 10)))
     found = register(
         pair.ct, pair.radiograph, "PA", method=method, free=["x_obj", "y_obj"], initial=pair.truth.parameters
@@ -253,7 +253,7 @@ def test_what_is_frozen_stays(pair, free, moving):
 
 
 def test_a_frozen_source_that_is_wrong_is_found_out(pair):
-    """The pair's start has another source than the truth: the expected error then holds what this does to the image."""
+    """The source of the pair's start is wrong, so the expected error must include its effect on the image."""
     half_range = torch.tensor([40.0, 40, 80, 40, 40, 60, *[0.1] * 3], dtype=torch.float64)
     right, wrong = (
         register(pair.ct, pair.radiograph, "PA", method=SMALL, free=6, initial=initial, half_range=half_range)
@@ -279,7 +279,7 @@ def test_a_frozen_source_that_is_wrong_is_found_out(pair):
     ids=["soft tissue", "contrast", "shifts", "derivatives"],
 )
 def test_each_ingredient_can_be_left_out(pair, without):
-    """From near by: what each is worth from afar is for a study to say."""
+    """From a near start; studies measure the value of each ingredient from distant starts."""
     half_range = torch.tensor([20.0, 20, 30, 20, 20, 30, *[math.radians(3)] * 3], dtype=torch.float64)
     method = small(**without)
     found = register(

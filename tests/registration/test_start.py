@@ -1,4 +1,4 @@
-"""Where the search begins: protocol, body against the detector, one landmark."""
+"""The start of the search: protocol, body against the detector, one landmark."""
 
 import pytest
 import torch
@@ -16,7 +16,7 @@ VIEWS = ("PA", "AP", "LLAT", "RLAT")
 
 @pytest.fixture
 def ct() -> Volume:
-    """Off the middle of 20 x 30 x 24 voxels lies a body, 3 to 8 in i, 10 to 24 in j, 5 to 20 in k."""
+    """An off-centre body in 20 x 30 x 24 voxels: 3 to 8 in i, 10 to 24 in j, 5 to 20 in k."""
     data = torch.full((24, 30, 20), -1000.0)
     data[5:21, 10:25, 3:9] = 40
     patient_from_voxel = torch.diag(torch.tensor([8.0, 6.0, 10.0, 1.0], dtype=torch.float64))

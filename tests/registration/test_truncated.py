@@ -1,4 +1,4 @@
-"""A CT that does not hold all that the radiograph shows."""
+"""A CT that covers only part of the anatomy in the radiograph."""
 
 import pytest
 
@@ -12,7 +12,7 @@ from .test_search import SMALL, _pde_mm, matcher_of
 
 @pytest.fixture(scope="module")
 def part(pair):
-    """Less than half of the slices, in the middle; the origin of the parameters stays."""
+    """Less than half of the slices, from the middle; the origin of the parameters stays."""
     slices = pair.ct.data.shape[0]
     first = round(0.29 * slices)
     patient_from_voxel = pair.ct.patient_from_voxel.clone()

@@ -1,4 +1,4 @@
-"""Evidence is measured from starts; rules judge it, and tell every rule that is broken."""
+"""Evidence is measured from starts; the rules judge it and report every broken rule."""
 
 import math
 from dataclasses import replace
@@ -49,7 +49,7 @@ def _codes(evidence: Evidence) -> list[str]:
 
 
 def _found(pair, free, starts_at, start_similarity, **options):
-    """Evidence for starts that ended ``starts_at`` mm (x_obj) beside the answer."""
+    """Evidence from starts that ended ``starts_at`` mm (along x_obj) away from the answer."""
     problem = pair.problem(free)
     starts = pair.initial.repeat(len(starts_at), 1)
     starts[:, 3] += torch.tensor(starts_at, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Predicted spread against that of many noisy radiographs, and against what a shift must do."""
+"""Predicted spread against the spread over many noisy radiographs, and against the known effect of a shift."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_more_noise_means_less_certainty(pair):
 
 
 def test_the_spread_is_the_same_in_other_coordinates(pair):
-    """The unknowns' covariance comes back to the nine parameters through P."""
+    """P maps the covariance of the unknowns to the nine parameters."""
     matcher = _matcher(pair, list(range(9)))
     other = replace(matcher, problem=replace(matcher.problem, coordinates=detector_frame))
     one, same = (m.covariance(pair.truth.parameters) for m in (matcher, other))

@@ -1,4 +1,4 @@
-"""Maps from the numbers that a search varies to the nine parameters, with their Jacobians; both ways."""
+"""Maps between the numbers that a search varies and the nine parameters, in both directions, with Jacobians."""
 
 from functools import partial
 
@@ -51,7 +51,7 @@ def test_the_jacobian_is_that_of_small_steps(pair, coordinates, free):
 
 
 def test_the_detectors_frame_puts_source_and_detector_where_the_rays_have_them(pair):
-    """Against the rays: source and detector's centre in the patient, which ``cone_beam_rays`` knows in voxels."""
+    """Source and centre of the detector in the patient, against those of ``cone_beam_rays`` in voxels."""
     unknowns = detector_frame(searched(ALL, pair.initial))
     nine = _poses(pair.initial, 20)
     values = unknowns.values(nine)
@@ -97,7 +97,7 @@ def test_a_selections_equations_are_those_of_the_free_parameters(pair):
 
 
 def test_a_source_on_a_rail_is_a_map_like_others(pair):
-    """One number moves the source up and down, another the patient; the search takes such a map as it is."""
+    """One number moves the source up and down, another the patient; the search accepts such a map."""
 
     def rail(searched: Range) -> Unknowns:
         along = torch.zeros(9, 2, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""What a DRR does not explain counts little, and nothing else changes."""
+"""Robust weights reduce the parts that a DRR does not explain, and change nothing else."""
 
 import torch
 

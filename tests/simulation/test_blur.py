@@ -15,14 +15,14 @@ POSE = torch.tensor([0, 0, 1000, 0, 0, 200, 0, 0, 0], dtype=torch.float64)
 
 
 def _points(detector: Detector) -> torch.Tensor:
-    """One pixel that lets more through than the others."""
+    """One pixel that transmits more than the others."""
     image = torch.full((detector.rows, detector.columns), 2.0, dtype=torch.float64)
     image[detector.rows // 2, detector.columns // 3] = 1
     return image
 
 
 def _spread_mm(before: torch.Tensor, after: torch.Tensor, detector: Detector) -> tuple[float, float]:
-    """Standard deviation down and across of what one pixel let through."""
+    """Standard deviations, down and across, of the light of that pixel."""
     spot = torch.exp(-after) - torch.exp(-before).min()
     spot = spot / spot.sum()
     spreads = []

@@ -38,7 +38,7 @@ def test_a_wire_crosses_the_image_from_border_to_border():
 @pytest.mark.parametrize("width_mm", [0.5, 2.0])
 @pytest.mark.parametrize("pixel_mm", [0.25, 1.0])
 def test_a_wire_is_as_wide_and_heavy_in_mm_whatever_the_pixels(width_mm, pixel_mm):
-    """Across a wire the chords of its section add up to its area; a steep wire is the longer for it."""
+    """Across a wire the chords of its section add up to its area; the sum over the image grows with its slope."""
     detector = Detector(round(80 / pixel_mm), round(96 / pixel_mm), pixel_mm)
     wire = _metal(detector, 3, count=1, block=False, width_mm=(width_mm, width_mm), metal_per_mm=1.0)
     per_mm_of_image = float(wire.sum()) * pixel_mm**2 / (80 if bool((wire > 0).any(1).all()) else 96)

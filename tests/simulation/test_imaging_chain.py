@@ -1,4 +1,4 @@
-"""A realistic radiograph: unlike the plain one, true to its geometry, and made again by its seed."""
+"""A realistic radiograph: different from the plain one, with the same geometry, and reproducible by its seed."""
 
 import pytest
 import torch

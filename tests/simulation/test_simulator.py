@@ -20,7 +20,7 @@ DETECTOR = Detector(60, 80, 3.0)
 
 @pytest.fixture(scope="module")
 def ct() -> Volume:
-    """A bone of 600 HU, denser at its feet, in soft tissue of 40 HU in air."""
+    """A bone of 600 HU, denser at its lower end, in soft tissue of 40 HU surrounded by air."""
     data = torch.full((30, 26, 28), -1000.0)
     data[2:28, 3:23, 3:25] = 40
     data[6:24, 8:14, 9:17] = 600
@@ -126,7 +126,7 @@ def test_parameters_are_drawn_by_seed_and_a_range_of_zero_is_kept():
 
 
 def _z_mm(ct: Volume, above_hu: float, parameters: torch.Tensor, view: str) -> torch.Tensor:
-    """How far from the detector all voxels over a threshold are."""
+    """Distance from the detector of all voxels above a threshold."""
     voxels = (ct.data > above_hu).nonzero().flip(1).double()
     in_patient = voxels @ ct.patient_from_voxel[:3, :3].mT + ct.patient_from_voxel[:3, 3]
     row = world_from_ct(parameters, view)[2]

@@ -1,4 +1,4 @@
-"""Soft tissue moves by as much as was asked and smoothly; bones do not move at all, nor does their ghost."""
+"""Soft tissue moves smoothly by the requested amount; bones do not move and leave no trace in moved tissue."""
 
 import math
 
@@ -34,7 +34,7 @@ def _field_mm(shape: tuple[int, int, int], spacing_mm: tuple[float, float, float
 
 
 def _inner(field: torch.Tensor) -> torch.Tensor:
-    """Where no ramp was cut off at the border."""
+    """Voxels whose ramps were not clipped at the border."""
     return field[:, 6:-6, 6:-6, 6:-6]
 
 
@@ -99,7 +99,7 @@ def test_no_bone_moves_along_and_no_hole_opens():
 
 
 def test_the_lung_beside_a_rib_makes_no_slit_of_air():
-    """Tissue, a rib, lung from there on: between the rib and what moves into the lung there is tissue."""
+    """Tissue, a rib, then lung: between the rib and the tissue that moves into the lung there is no gap."""
     data = torch.full((30, 40, 30), 40.0)
     data[:, 20:] = -850
     data[:, 17:20, 8:22] = 700

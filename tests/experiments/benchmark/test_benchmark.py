@@ -1,4 +1,4 @@
-"""The benchmark measures what it says: a tiny run on the embedded phantom, and peers that render the same images."""
+"""A tiny run of the benchmark on the embedded phantom, and peers that render the same images."""
 
 import sys
 from pathlib import Path
@@ -45,7 +45,7 @@ def bench() -> Bench:
 
 @pytest.fixture(scope="module")
 def table(bench) -> pd.DataFrame:
-    """Cases as configured, but small; without those that take processes of their own or a GPU's word."""
+    """The configured cases, but small; without cases that need processes of their own or a GPU."""
     tables = []
     for name, case in benchmark.chosen(bench.config).items():
         small = {key: value for key, value in _SMALL.items() if key in case.keywords}

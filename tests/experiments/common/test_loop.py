@@ -1,4 +1,4 @@
-"""The loop makes each row once, keeps the settings, and says what is there."""
+"""The loop makes each row once, keeps the settings, and reports the rows that exist."""
 
 import pytest
 from omegaconf import OmegaConf

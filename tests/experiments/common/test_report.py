@@ -28,7 +28,7 @@ _STUDIES = sorted(
 
 
 class Page(HTMLParser):
-    """What a page shows: texts of the cells of each table row, sources of its pictures, all its tags and attributes."""
+    """Content of a page: cell texts of each table row, sources of pictures, all tags and attributes."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ def _command(*arguments: object) -> int:
 
 
 def _check_alone(text: str) -> Page:
-    """Nothing is asked of any other file or place."""
+    """The page refers to no other file or address."""
     page = Page(text)
     assert not re.search(r"https?:|url\(|@import", text)
     assert all(source.startswith("data:image/png;base64,") for source in page.sources)

@@ -1,4 +1,4 @@
-"""Intervals and tests of the studies agree with what is known of them, and with scipy."""
+"""Intervals and tests of the studies agree with known values and with scipy."""
 
 import numpy as np
 import pandas as pd

@@ -1,4 +1,4 @@
-"""The study of the search appends, resumes, shares out and refuses to mix; its figures need its tables alone."""
+"""The search study appends, resumes, splits into shards and refuses mixed settings; figures need only its tables."""
 
 import csv
 import math
@@ -194,7 +194,7 @@ def test_a_failure_leaves_a_small_picture(ct, tmp_path):
 
 
 def _written(folder: Path) -> None:
-    """Ten registrations in two tables, one of them lost and yet called ok, and a decoy."""
+    """Ten registrations in two tables, including a lost one that is called ok, and a decoy."""
     rows = []
     for seed in range(10):
         kind = "matched" if seed % 2 else "realistic"

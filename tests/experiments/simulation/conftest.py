@@ -28,7 +28,7 @@ Rows = Callable[[Path], list[tuple[str, ...]]]
 
 @pytest.fixture(scope="session")
 def command() -> Command:
-    """The command line of a tiny study with what is added or changed; ``-m`` comes first."""
+    """The command line of a tiny study with added or changed options; ``-m`` comes first."""
 
     def words(*changes: str) -> list[str]:
         flags = [change for change in changes if change.startswith("-")]
@@ -44,7 +44,7 @@ def run(command: Command) -> Callable[..., subprocess.CompletedProcess[str]]:
 
 @pytest.fixture(scope="session")
 def settings() -> Callable[..., DictConfig]:
-    """The settings of a tiny study with what is added or changed."""
+    """The settings of a tiny study with added or changed options."""
 
     def composed(*changes: str) -> DictConfig:
         with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
@@ -55,7 +55,7 @@ def settings() -> Callable[..., DictConfig]:
 
 @pytest.fixture(scope="session")
 def rows() -> Rows:
-    """All rows of a study's tables as written, sorted, but for the seconds."""
+    """All rows of a study's tables as written, sorted, without the seconds."""
 
     def read(out: Path) -> list[tuple[str, ...]]:
         found = []
@@ -79,6 +79,6 @@ def undisturbed(run, rows: Rows, tmp_path_factory) -> list[tuple[str, ...]]:
 
 
 def _changed(changes: tuple[str, ...]) -> list[str]:
-    """Another component has other options than the tiny one."""
+    """Another component has other options than the one of the tiny study."""
     changed = {change.partition("=")[0] for change in changes}
     return [*(setting for setting in TINY if setting.partition(".")[0] not in changed), *changes]

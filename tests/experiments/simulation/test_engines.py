@@ -1,4 +1,4 @@
-"""Eight shards on any engine make the table that one process makes, and a killed worker is made up for."""
+"""Eight shards on any engine make the same table as one process, even if a worker is killed."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ def test_two_joblib_workers_make_the_same_table(run, undisturbed, rows, tmp_path
 
 @pytest.fixture(scope="module")
 def slurm() -> Iterator[None]:
-    """A SLURM of this machine alone."""
+    """A SLURM cluster with this machine as its only node."""
     if os.geteuid() or not all(map(shutil.which, ("slurmctld", "slurmd", "sbatch", "munged"))):
         pytest.skip("needs root and Debian's slurmctld, slurmd, slurm-client and munge")
     script = Path(__file__).with_name("slurm.sh")
@@ -63,7 +63,7 @@ def test_a_second_start_makes_up_for_a_killed_worker(slurm, command, run, undist
 
 
 def _first_without_a_row(launcher: subprocess.Popen, arm: Path) -> str:
-    """Of the running jobs, called NUMBER_SHARD."""
+    """Names of the running jobs, NUMBER_SHARD."""
     while launcher.poll() is None:
         for job in _jobs("--states=RUNNING"):
             if not (arm / f"registrations-{job.partition('_')[2]}.csv").exists():

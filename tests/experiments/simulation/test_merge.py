@@ -1,4 +1,4 @@
-"""Arms and shards become one sorted table, small, without torch; a registration that is there twice is refused."""
+"""Arms and shards merge into one small sorted table, without torch; a repeated registration is refused."""
 
 import subprocess
 import sys
@@ -68,7 +68,7 @@ def test_the_same_rows_make_the_same_file(tmp_path):
 
 
 def test_rows_that_only_the_merged_table_has_stay(tmp_path):
-    """Tables of the arms are not kept for ever; what goes on after that adds to the merged one, and is read with it."""
+    """After the arms' tables are deleted, new rows are added to the merged table and read with it."""
     table, other = (tmp_path / "a" / f"registrations{part}.csv" for part in ("", "-0"))
     _write(table, "a", range(4))
     merge(tmp_path)

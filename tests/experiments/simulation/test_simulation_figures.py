@@ -27,7 +27,7 @@ _ARMS = {"9-DOF": 9, "6-DOF": 6}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Of the study, with one registration that lost its way and a target behind the source."""
+    """A table of the study, with one lost registration and one target behind the source."""
     folder = tmp_path_factory.mktemp("simulation")
     rows = simulation_rows(40, _ARMS)
     rows.loc[3, "pde_mm"], rows.loc[90, "pde_mm"] = 12.5, np.inf

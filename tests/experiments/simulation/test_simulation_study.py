@@ -92,7 +92,7 @@ def test_changed_settings_refuse_to_mix(settings, tmp_path):
 
 
 def test_settings_are_the_same_however_they_were_given(settings, tmp_path):
-    """The file has them as they were given: what the environment says is not in it."""
+    """The file has settings as they were given, without values from the environment."""
     keep(settings("dof=6"), tmp_path, UNSHARED)
     before = (tmp_path / "settings.yaml").read_text()
     assert "arm: ${dof}-DOF" in before
@@ -127,7 +127,7 @@ def test_a_second_process_leaves_a_table_alone(run, tmp_path):
 
 
 def test_the_worst_have_pictures(settings, tmp_path):
-    """Of the merged table alone, with the arm's settings."""
+    """Pictures need only the merged table and the settings of the arm."""
     study.run(settings(f"out={tmp_path}", "seeds=2"))
     merge(tmp_path)
     (tmp_path / "9-DOF" / "registrations.csv").unlink()
