@@ -89,22 +89,18 @@ class _Shown:
         warnings = [self._contradiction(sign)] if grows != (self.monochrome == "MONOCHROME1") else []
         linear = self.relation == "LIN" and intensity == "auto"
         if linear and self.for_display:
-            warnings.append(
-                "LIN but FOR PRESENTATION: taken as processed for a display, so no logarithm (else say counts)"
+            warnings.append("LIN but FOR PRESENTATION: taken as processed for display, no logarithm (else say counts)")
+        return Meaning(grows, linear and not self.for_display, top, warnings=tuple(filter(None, warnings)))
+
+    def _contradiction(self, sign: float | None) -> str:
+        """Of sign and photometric interpretation; empty where the file is expected to show bone black."""
+        if self.for_display and sign is not None:
+            return f"PixelIntensityRelationshipSign makes {self.monochrome} show bone black: the sign is used"
+        if sign is None and not self.fluoroscopy:
+            return (
+                f"PixelIntensityRelationship {self.relation} has no sign: {self.monochrome} is taken to show bone black"
             )
-        return Meaning(grows, counts=False, top=top, of_stored=False, warnings=tuple(warnings))
-    grows = sign != -1
-    if grows != (monochrome == "MONOCHROME1"):
-        if for_display and sign is not None:
-            warnings.append(f"PixelIntensityRelationshipSign makes {monochrome} show bone black: the sign is used")
-        elif sign is None and header.get("Modality") not in ("RF", "XA"):
-            warnings.append(
-                f"PixelIntensityRelationship {relation} has no sign: {monochrome} is taken to show bone black"
-            )
-    counts = relation == "LIN" and not for_display and intensity == "auto"
-    if relation == "LIN" and for_display and intensity == "auto":
-        warnings.append("LIN but FOR PRESENTATION: taken as processed for display, no logarithm (else say counts)")
-    return Meaning(grows, counts, top, warnings=tuple(warnings))
+        return ""
 
 
 def line_integrals(values: Shaped[ndarray, "h w"], meaning: Meaning) -> Float[ndarray, "h w"]:

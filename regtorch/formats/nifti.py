@@ -21,8 +21,8 @@ _BLOCK = 1 << 22
 def check_nifti(path: Path) -> tuple[str, ...]:
     """Warnings about the header, one line each.
 
-    Raises ``RegtorchError`` for a truncated or damaged file, for values that are not finite, and for a header that
-    states two voxel sizes or two positions.
+    Raises ``RegtorchError`` for a truncated or damaged file and for values that are not finite. It also does for a
+    header that states two voxel sizes or two positions.
     """
     opener = gzip.open if path.name.lower().endswith(".gz") else open
     try:

@@ -42,21 +42,6 @@ def attenuation(
     return volume.with_data(data, unit="per_mm")
 
 
-def tissue_classes(
-    volume: Volume, *, limits_hu: tuple[float, ...] = (BONE_HU,), mu_water_per_mm: float = MU_WATER_PER_MM
-) -> Volume:
-    """Split the ``attenuation`` of all tissue into classes [c, d, h, w] at limits in HU.
-
-    The default classes are soft tissue and bone. The classes add up to the whole. A voxel with exactly the value of a
-    limit belongs to the denser class.
-    """
-    whole = attenuation(volume, threshold_hu=None, mu_water_per_mm=mu_water_per_mm)
-    limits = volume.data.new_tensor(sorted(limits_hu))
-    number = torch.bucketize(volume.data, limits, right=True)
-    classes = torch.stack([torch.where(number == c, whole.data, 0) for c in range(len(limits) + 1)])
-    return replace(whole, data=classes)
-
-
 def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
     """Contrast of bone: its ``attenuation`` minus the attenuation of tissue at the threshold.
 

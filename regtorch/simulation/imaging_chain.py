@@ -47,11 +47,6 @@ def realistic(
     ``RegtorchError`` as ``simulate`` and the single effects do.
 
     Args:
-        ct: In HU.
-        parameters: The nine parameters (mm, rad).
-        view: How the patient stands at zero rotation.
-        detector: The whole detector, centred on (0, 0).
-        seed: Seed of all random numbers.
         targets: Named points (LPS mm); by default, points spread over the bones.
         soft_tissue_mm: RMS length of the movement of soft tissue; bones stay.
         devices: Number of wires; a block is added too.
@@ -82,10 +77,17 @@ def realistic(
         image = add_quantum_noise(image, photons, quanta)
     if fwhm_mm:
         image = blur_detector(image, detector, fwhm_mm=fwhm_mm)
-    if gain_rms:
-        image = add_gain_and_offset(image, gain_rms=gain_rms, generator=pixels)
-    if bits:
-        _, image = digitise(image, bits=bits, full_scale=full_scale)
+    image = _read_out(image, gain_rms, bits, full_scale, pixels)
     if text:
         image, _ = add_text(image, detector, text=text, place=_RIGHT if view == "PA" else _LEFT)
     return replace(simulation, image=image)
+
+
+def _read_out(
+    image: Float[Tensor, "h w"], gain_rms: float, bits: int | None, full_scale: float, generator: torch.Generator
+) -> Float[Tensor, "h w"]:
+    if gain_rms:
+        image = add_gain_and_offset(image, gain_rms=gain_rms, generator=generator)
+    if bits:
+        _, image = digitise(image, bits=bits, full_scale=full_scale)
+    return image
