@@ -1,5 +1,5 @@
-"""The one exception that is meant for the user."""
+"""The exception for wrong input."""
 
 
 class RegtorchError(ValueError):
-    """Bad input. The message is one line that names the file, the value and the expectation."""
+    """Bad input. The message is one line that names the file, the value and what was expected."""

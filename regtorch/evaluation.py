@@ -1,4 +1,4 @@
-"""How far a registration is from the truth: projection distance error, 3D target error, parameter errors."""
+"""Errors of a registration against the truth: projection distance, 3D target error, parameters."""
 
 import json
 import math
@@ -24,7 +24,7 @@ from regtorch.geometry import (
 
 _SHARED = ("parameters", "view", "mirrored", "detector", "pixel_from_patient")
 _SAME, _APART_MM = 1e-6, 1e-3
-"""Rotations that differ less are one, and so are centres."""
+"""Rotations (largest entry) and centres (mm) that differ less count as equal."""
 _OWN = {"result": ("status", "similarity"), "truth": ("targets_patient_mm",)}
 
 
@@ -40,13 +40,17 @@ def projection_distances(
 
 
 def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare the contents of a ``result.json`` and of a ``truth.json``.
+    """Compare the contents of a ``result.json`` with those of a ``truth.json``.
 
-    Returns ``pde_mm`` (mean over the targets, in the detector plane; infinite where either puts one behind the source),
-    ``target_error_mm`` (mean distance in space between where the two put a target, seen from the detector), ``targets``
-    (both, for each by name) and ``parameter_errors`` (result less truth, mm and degrees; angles the short way round).
-    Where the two are of different parts of a CT, whose centres the patient's place is told by, the truth's is moved to
-    the result's.
+    The place of the patient is that of its CT's centre. If result and truth have different parts of one CT, the truth's
+    centre is moved to the result's. Raises ``RegtorchError`` for different views or detectors.
+
+    Returns a dictionary:
+
+    - ``pde_mm``: mean projection distance of the targets; infinite if one is behind a source;
+    - ``target_error_mm``: mean 3D distance between the targets' two places relative to the detector;
+    - ``targets``: both errors of each target, by name;
+    - ``parameter_errors``: result less truth in mm and degrees, angles between -180 and 180.
     """
     if not same_view(result["view"], truth["view"]):
         raise RegtorchError(f"view {result['view']} of the result, expected {truth['view']} as in the truth")
@@ -73,7 +77,7 @@ def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, A
 
 
 def read_json(path: str | Path, kind: Literal["result", "truth"]) -> dict[str, Any]:
-    """The contents of a ``result.json`` or ``truth.json``; ``RegtorchError`` names the missing or malformed entry."""
+    """The contents of a ``result.json`` or ``truth.json``. Raises ``RegtorchError`` for missing or malformed values."""
     try:
         content = json.loads(Path(path).read_text())
     except FileNotFoundError:
@@ -130,12 +134,12 @@ def _same_detector(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def _world_from_patient(matrix: Float[Tensor, "3 4"], content: Mapping[str, Any]) -> Float[Tensor, "4 4"]:
-    """Where a projection matrix to stored pixels puts the patient (LPS mm) relative to the detector."""
+    """Rigid transform from LPS mm to the detector, from a projection matrix to stored pixels."""
     detector = _detector(content)
     if content["mirrored"]:
         flip = matrix.new_tensor([[-1, 0, detector.columns - 1], [0, 1, 0], [0, 0, 1]])
         matrix = flip @ matrix
-    # With the patient's own origin in place of the CT's centre, the nine parameters place the patient frame itself.
+    # With the origin of LPS as the CT's centre, the nine parameters place the patient frame itself.
     return world_from_ct(
         parameters_from_matrix(matrix, detector, content["view"], matrix.new_zeros(3)), content["view"]
     )
@@ -144,10 +148,10 @@ def _world_from_patient(matrix: Float[Tensor, "3 4"], content: Mapping[str, Any]
 def _moved_mm(
     result: Mapping[str, Any], truth: Mapping[str, Any], world_from_patient: Sequence[Float[Tensor, "4 4"]]
 ) -> list[float]:
-    """How much further the truth has the CT's centre of the result than its own: x_obj, y_obj, z_obj.
+    """Shift of x_obj, y_obj, z_obj from the truth's CT centre to that of the result, in mm.
 
-    A centre o is where the parameters say that it is, x_obj = R o + t with R, t of ``world_from_patient``. Nothing for
-    an image stored on its side, whose matrix is of another detector than its parameters.
+    A centre o follows from x_obj = R o + t, with R and t of ``world_from_patient``. The shift is 0 for an image stored
+    on its side: its matrix belongs to another detector than its parameters.
     """
     turned = [world_from_ct(parameters_from_dict(d["parameters"]), d["view"]) for d in (result, truth)]
     own, true = world_from_patient

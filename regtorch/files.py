@@ -1,4 +1,4 @@
-"""Output that is written whole or not at all: folders, files, messages of one line."""
+"""Output that is written whole or not at all: folders and files. Messages of one line."""
 
 import os
 import secrets
@@ -13,12 +13,12 @@ from regtorch.errors import RegtorchError
 
 @contextmanager
 def output_folder(path: str | Path, names: Iterable[str] = ()) -> Iterator[Path]:
-    """A temporary folder whose files are moved to ``path`` when the block ends well; otherwise nothing stays behind.
+    """A temporary folder, whose files move to ``path`` when the block ends without an error.
 
-    Raises ``RegtorchError`` at once when ``path``, or the files in it that will have these ``names``, cannot be
-    written. Other files in ``path`` stay.
+    After an error nothing stays behind. Other files in ``path`` stay. Raises ``RegtorchError`` before the block if
+    ``path``, or a file of ``names`` in it, cannot be written.
     """
-    if not str(path):  # which pathlib takes for the current folder
+    if not str(path):  # pathlib takes it for the current folder
         raise RegtorchError("empty name, expected a folder to write to")
     folder, missing, temporary = Path(path), [], None
     try:
@@ -41,9 +41,9 @@ def output_folder(path: str | Path, names: Iterable[str] = ()) -> Iterator[Path]
 
 @contextmanager
 def written_whole(path: Path, suffix: str) -> Iterator[Path]:
-    """A temporary file beside ``path`` that takes its place when the block ends well and vanishes when it does not.
+    """A temporary file beside ``path``, which replaces it when the block ends without an error.
 
-    Raises ``RegtorchError`` where ``path`` cannot be written.
+    After an error the temporary file is removed. Raises ``RegtorchError`` if ``path`` cannot be written.
     """
     if path.exists() and not path.is_file():
         raise RegtorchError(f"{path}: no ordinary file, expected one to write to")
@@ -59,13 +59,13 @@ def written_whole(path: Path, suffix: str) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Raises ``RegtorchError`` where ``path`` cannot be written."""
+    """Write a text file whole. Raises ``RegtorchError`` if ``path`` cannot be written."""
     with written_whole(path, path.suffix) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def one_line(text: object, longest: int = 160) -> str:
-    """``text`` without line breaks, cut to ``longest`` characters: other libraries' messages are long."""
+    """``text`` without line breaks, cut to ``longest`` characters, for long messages of other libraries."""
     line = " ".join(str(text).split())
     return line if len(line) <= longest else line[: longest - 3] + "..."
 

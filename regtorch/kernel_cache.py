@@ -1,4 +1,4 @@
-"""Compiled kernels are kept beside their files; numba does not see when a kernel that they call has changed."""
+"""Stale compiled kernels: numba keeps kernels beside their files and misses changes in the kernels they call."""
 
 import contextlib
 import hashlib
@@ -8,7 +8,7 @@ _STAMP = "kernels.sha256"
 
 
 def forget_stale_kernels() -> None:
-    """Remove kernels compiled from files named ``cpu``, or in folders of that name, when their sources have changed."""
+    """Remove kernels compiled from an older state of the files named ``cpu.py`` and of folders named ``cpu``."""
     package = Path(__file__).parent
     sources = sorted([*package.rglob("cpu.py"), *package.rglob("cpu/*.py")])
     now = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()
@@ -17,7 +17,7 @@ def forget_stale_kernels() -> None:
         if stamp.read_text() == now:
             return
     for index in {index for file in sources for index in (file.parent / "__pycache__").glob("*.nbi")}:
-        with contextlib.suppress(OSError):  # another process may be at it, too, or the folder may be read-only
+        with contextlib.suppress(OSError):  # another process may have removed it, or the folder may be read-only
             index.unlink()
     with contextlib.suppress(OSError):
         stamp.parent.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Pictures of a registration."""
+"""Overlay of a registration on its radiograph."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,8 +19,8 @@ from regtorch.imaging.radiograph import level
 from regtorch.registration import Registration
 
 _INCHES, _DPI, _PIXELS = 8.0, 120, 1000
-_EDGE = np.array([1.0, 0.6, 0.1])  # orange over grey: told apart by colour-blind readers
-_DARK = 0.4  # of its brightness is what did not count
+_EDGE = np.array([1.0, 0.6, 0.1])  # orange over grey, for colour-blind readers
+_DARK = 0.4  # brightness of pixels without weight
 _STATUS_COLOURS = {"ok": "#0072b2", "doubtful": "#e69f00", "failed": "#d55e00"}
 
 
@@ -31,10 +31,16 @@ def write_overlay(
     registration: Registration,
     targets: Mapping[str, tuple[float, float, float]],
 ) -> None:
-    """Save the radiograph as its file shows it, the edges of the bones where they were found, and named targets.
+    """Save the radiograph as stored, with edges of the registered DRR and named targets.
 
-    ``attenuating`` (1/mm) gives the edges; targets are in LPS mm. Pixels that did not count, masked or beyond
-    collimators, are dark.
+    Pixels without weight (masked, or outside the collimated field) are dark.
+
+    Args:
+        path: picture to write.
+        attenuating: volume of the DRR, in attenuation per mm.
+        radiograph: fixed image.
+        registration: result, whose pose and status are shown.
+        targets: points in LPS mm, by name.
     """
     everywhere = torch.ones_like(radiograph.weight)
     shown, counted = (
@@ -75,7 +81,7 @@ def write_overlay(
 
 
 def edge_strength(image: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-    """Thin edges, 0 to 1: where the gradient is strong and largest across itself."""
+    """Thin edges, 0 to 1: pixels with a strong gradient that is largest along its own direction."""
     gy, gx = torch.gradient(image.double())
     length = torch.hypot(gx, gy)
     angle = torch.atan2(gy, gx)

@@ -1,6 +1,7 @@
 """Docstrings are plain: no sentence is longer than 25 words."""
 
 import ast
+import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,11 +20,11 @@ def _docstrings(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def sentences(text: str) -> Iterator[str]:
-    """Sentences of prose. Code, formulas in brackets, tables and doctests are no prose; items of lists stand alone."""
-    text = re.sub(r"``[^`]*``", "code", text)
+    """Sentences of prose. Code, brackets, indented formulas, tables and doctests are no prose; items of lists stand alone."""
+    text = re.sub(r"``[^`]*``", "code", inspect.cleandoc(text))
     text = re.sub(r"\([^()]*\)|\[[^\[\]]*\]", "", text)
     for block in re.split(r"\n\s*\n|\n\s*[-*] |\n\s+\w+: ", text):
-        if not block.lstrip().startswith((">>>", "|")):
+        if not block.lstrip("\n").startswith((">>>", "|", " " * 4)):
             yield from re.split(r"(?<=[.:;?!])\s+", " ".join(block.split()))
 
 

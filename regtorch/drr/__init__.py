@@ -1,4 +1,4 @@
-"""Digitally reconstructed radiographs: ``render`` and the projectors behind it."""
+"""Digitally reconstructed radiographs (DRRs): ``render`` and its projectors."""
 
 from regtorch.drr.rendering import render, render_with_jacobian
 

@@ -1,4 +1,4 @@
-"""Fused kernels as differentiable torch functions: forward by ``project``, backward by their adjoints."""
+"""Fused kernels as differentiable torch functions: ``project`` forward, adjoints backward."""
 
 from types import ModuleType
 from typing import Any
@@ -32,14 +32,14 @@ class _Projection(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, data: Tensor, rays: Tensor, backend: ModuleType, place: tuple) -> Tensor:
         ctx.save_for_backward(data, rays)
-        ctx.data = data  # what backends keep of a volume they find by this very object
+        ctx.data = data  # backends find their copies of a volume by this object
         ctx.backend, ctx.place = backend, place
         return backend.project(data, rays, *place)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
-        _, rays = ctx.saved_tensors  # complains if the volume has changed since
+        _, rays = ctx.saved_tensors  # raises an error if the volume has changed since
         grid, _, _, method = ctx.place
         given = ctx.data, rays, grid, image_gradients, method
         by_data = ctx.backend.pull_back_data(*given) if ctx.needs_input_grad[0] else None

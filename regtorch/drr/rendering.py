@@ -1,4 +1,4 @@
-"""The front door of the projectors: CT and poses in, line integrals and their derivatives out."""
+"""``render``: line integrals of a CT for poses, and their derivatives, by any projector."""
 
 from types import ModuleType
 from typing import Literal, get_args
@@ -26,21 +26,31 @@ def render(
     method: Method = "joseph",
     backend: Backend = "auto",
 ) -> Float[Tensor, "..."]:
-    """Line integrals [*b, h, w] of attenuation from the source to every pixel, seen looking from the source.
+    """Line integrals [*b, h, w] of attenuation from the source to every pixel, seen from the source.
 
-    Voxels behind the source or behind the detector do not count, and air surrounds the volume. The images have
-    the type and device of ``volume.data``, whose unit must be ``per_mm`` (see ``regtorch.imaging.hounsfield``); a
-    volume of c classes of tissue [c, d, h, w] gives [*b, c, h, w] in one pass. Differentiable by the
-    parameters and by the voxels with every backend.
+    Air surrounds the volume. Only voxels between source and detector count. The images have the type and device of
+    ``volume.data``. They are differentiable by the parameters and by the voxels with every backend. A volume of c
+    classes of tissue, with data [c, d, h, w], gives [*b, c, h, w] in one pass.
 
-    Methods: ``siddon`` (Siddon 1985) is exact for voxels of constant value; ``joseph`` (Joseph 1982) interpolates
-    bilinearly, or with the edges that ``volume.sharpness`` asks for, on each slice across the axis nearest to the ray;
-    ``trilinear`` samples at half-voxel steps.
-    Backends: ``torch`` is the readable reference; ``cpu`` and ``triton`` (for GPUs) are fused kernels in float32.
-    ``auto`` takes the fastest that can render this.
+    Methods:
 
-    Raises ``RegtorchError`` for values in HU and for poses that are not finite or have the source behind the detector.
-    It also does for unknown methods and backends, and for a backend that cannot render this.
+    - ``joseph`` (Joseph 1982) interpolates bilinearly on each slice across the axis nearest to the ray. It makes the
+      edges that ``volume.sharpness`` asks for.
+    - ``siddon`` (Siddon 1985) is exact for voxels of constant value.
+    - ``trilinear`` samples at half-voxel steps.
+
+    Args:
+        volume: CT in attenuation per mm, as from ``regtorch.imaging.attenuation``.
+        parameters: the nine parameters of each pose (mm, rad).
+        detector: pixels to render.
+        view: a name of ``VIEWS``.
+        method: one of the methods above.
+        backend: ``torch`` is the reference; ``cpu`` and ``triton`` (for GPUs) are fused kernels in float32. ``auto``
+            takes the fastest that supports the call.
+
+    Raises:
+        RegtorchError: for HU; for poses that are not finite or have an SDD of 0 or less; for an unknown method or
+            backend; for a backend that does not support the call.
     """
     fused = chosen_backend(volume, parameters, method, backend)
     rays = rays_of(volume, parameters, detector, view)
@@ -57,10 +67,10 @@ def render_with_jacobian(
     method: Method = "joseph",
     backend: Backend = "auto",
 ) -> tuple[Float[Tensor, "..."], Float[Tensor, "..."]]:
-    """``render``, and the exact derivatives of every pixel by the nine parameters (per mm, per rad) in the same pass.
+    """``render``, with the exact derivatives of every pixel by the nine parameters (per mm, per rad) in the same pass.
 
-    Forward mode: images [*b, h, w] and jacobians [*b, 9, h, w], or [*b, c, h, w] and [*b, c, 9, h, w] for a volume of
-    c classes. Neither carries a graph.
+    Returns images [*b, h, w] and Jacobians [*b, 9, h, w]. For c classes of tissue they are [*b, c, h, w] and
+    [*b, c, 9, h, w]. Neither has a graph. Raises ``RegtorchError`` as ``render`` does.
     """
     fused = chosen_backend(volume, parameters, method, backend)
     flat = parameters.detach().reshape(-1, 9)
@@ -72,7 +82,7 @@ def render_with_jacobian(
 
 
 def _shaped(result: Tensor, volume: Volume, parameters: Float[Tensor, "*b 9"]) -> Tensor:
-    """[b, classes, ...] as the poses' batch shape and, if the volume has any, classes."""
+    """[b, classes, ...] in the batch shape of the poses, without the axis of classes if the volume has none."""
     result = result.squeeze(1) if volume.data.ndim == 3 else result
     return result.reshape(*parameters.shape[:-1], *result.shape[1:])
 
@@ -84,13 +94,13 @@ def rays_of(volume: Volume, parameters: Float[Tensor, "*b 9"], detector: Detecto
 
 
 def chosen_backend(volume: Volume, parameters: Float[Tensor, "*b 9"], method: str, backend: str) -> ModuleType:
-    """The module that is to work; checks everything ``render`` is given."""
+    """The module of the backend. Raises ``RegtorchError`` as ``render`` does."""
     for what, name, known in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if name not in known:
             raise RegtorchError(f"{what} {name!r}: expected one of {', '.join(known)}")
     if volume.unit != "per_mm":
         raise RegtorchError(f"{volume.name}: values in {volume.unit}, expected attenuation per mm to render")
-    if not bool(parameters.detach().sum().isfinite()):  # one number, where a mask would be as large as the batch
+    if not bool(parameters.detach().sum().isfinite()):  # one number instead of a mask as large as the batch
         raise RegtorchError("parameters that are not finite: expected nine numbers per pose")
     if parameters.numel() and bool(parameters[..., 2].min() <= 0):
         raise RegtorchError(f"SDD of {float(parameters[..., 2].min()):g} mm: expected a positive distance")

@@ -1,4 +1,4 @@
-"""The flat detector: how many pixels, how large, and where its image lies in the detector plane."""
+"""The flat detector: number and size of its pixels, and the place of its image in the detector plane."""
 
 from dataclasses import dataclass
 
@@ -13,8 +13,10 @@ from regtorch.errors import RegtorchError
 class Detector:
     """A grid of square pixels in the plane Z = 0 of the ``world`` frame.
 
-    ``centre_mm`` is where the grid's centre lies, (X, Y): it is (0, 0) for a whole detector, whose centre is the
+    ``centre_mm`` is the place (X, Y) of the grid's centre. It is (0, 0) for a whole detector, whose centre defines the
     world's origin. It moves when an image is cropped, so that the nine parameters keep their meaning.
+
+    Raises ``RegtorchError`` for a detector without pixels or a pixel size that is not positive.
     """
 
     rows: int
@@ -48,9 +50,9 @@ class Detector:
         return Detector(row1 - row0, column1 - column0, self.pixel_mm, (x + shift_x, y + shift_y))
 
     def fit(self, longest: int) -> "Detector":
-        """The same area on a coarser grid whose longer side has at most ``longest`` pixels; never a finer one.
+        """The same area on a coarser grid, whose longer side has at most ``longest`` pixels; never a finer grid.
 
-        A rest that fills no whole pixel is left out evenly on both sides, so the centre stays.
+        A remainder smaller than a pixel is cut evenly on both sides, so the centre stays.
         """
         factor = max(self.rows, self.columns) / longest
         if factor <= 1:

@@ -1,7 +1,7 @@
 """Projection matrices from the nine parameters, and back.
 
-Eq. (1) of the paper is printed with the wrong sign for x_s and y_s: take the source at z_s > 0 and the detector at z =
-0. The ray from the source through (x, y, z) meets the detector at X = (z_s x - x_s z) / (z_s - z).
+Eq. (1) of the paper is printed with the wrong sign for x_s and y_s. The source is at z_s > 0, the detector at z = 0.
+So the ray from the source through (x, y, z) meets the detector at X = (z_s x - x_s z) / (z_s - z).
 """
 
 import torch
@@ -24,7 +24,7 @@ def world_from_ct(parameters: Float[Tensor, "*b 9"], view: str) -> Float[Tensor,
 
 
 def pixel_from_world(parameters: Float[Tensor, "*b 9"], detector: Detector) -> Float[Tensor, "*b 3 4"]:
-    """Central projection from the source onto the detector, to homogeneous (column, row); the last is z_s - z > 0."""
+    """Central projection from the source, from mm to homogeneous (column, row); the third coordinate is z_s - z."""
     x_s, y_s, z_s = parameters[..., :3].unbind(-1)
     zero, one = torch.zeros_like(z_s), torch.ones_like(z_s)
     plane_from_world = torch.stack(
@@ -38,7 +38,7 @@ def pixel_from_patient(
 ) -> Float[Tensor, "*b 3 4"]:
     """Projection matrix from LPS millimetres to (column, row) of the image seen from the source.
 
-    ``origin_patient_mm`` is where the ``ct`` frame has its origin: the centre of the CT as stored.
+    ``origin_patient_mm`` is the origin of the ``ct`` frame: the centre of the CT as stored.
     """
     ct_from_patient = torch.eye(4).to(parameters)
     ct_from_patient[:3, 3] = -origin_patient_mm.to(parameters)
@@ -46,7 +46,7 @@ def pixel_from_patient(
 
 
 def project(matrix: Float[Tensor, "*b 3 4"], points: Float[Tensor, "n 3"]) -> Float[Tensor, "*b n 2"]:
-    """(column, row) of points; not a number for points behind the source."""
+    """(column, row) of points; NaN for points that are not in front of the source."""
     homogeneous = points.to(matrix) @ matrix[..., :3].mT + matrix[..., None, :, 3]
     depth = homogeneous[..., 2:]
     return homogeneous[..., :2] / torch.where(depth > 0, depth, torch.nan)
@@ -55,9 +55,9 @@ def project(matrix: Float[Tensor, "*b 3 4"], points: Float[Tensor, "n 3"]) -> Fl
 def parameters_from_matrix(
     matrix: Float[Tensor, "*b 3 4"], detector: Detector, view: str, origin_patient_mm: Float[Tensor, "3"]
 ) -> Float[Tensor, "*b 9"]:
-    """The nine parameters of a ``pixel_from_patient``, whatever its scale and sign.
+    """The nine parameters of a ``pixel_from_patient`` of any scale and sign.
 
-    Raises ``RegtorchError`` for a matrix that no source can make on a detector with these square pixels.
+    Raises ``RegtorchError`` for a matrix with skewed or oblong pixels: no source makes it on this detector.
     """
     plane = torch.linalg.inv(detector.pixel_from_plane().to(matrix)) @ matrix
     offset = plane[..., 3] + plane[..., :3] @ origin_patient_mm.to(matrix)
@@ -70,7 +70,7 @@ def parameters_from_matrix(
     across, up = m[..., 0, :] + x_s[..., None] * q3, m[..., 1, :] + y_s[..., None] * q3
     lengths = torch.stack([across.norm(dim=-1), up.norm(dim=-1)], dim=-1)
     skew = (across * up).sum(-1).abs() / lengths.prod(-1)
-    square = ((lengths[..., 0] / lengths[..., 1] - 1).abs() <= 1e-3) & (skew <= 1e-3)  # false for what is not finite
+    square = ((lengths[..., 0] / lengths[..., 1] - 1).abs() <= 1e-3) & (skew <= 1e-3)  # false for NaN
     if not bool(square.all()):
         raise RegtorchError("projection matrix with skewed or oblong pixels: expected square ones")
     z_s = lengths.mean(-1)

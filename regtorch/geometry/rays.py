@@ -1,4 +1,4 @@
-"""Cone-beam rays as twelve numbers per pose: the narrow waist that every projector shares."""
+"""Cone-beam rays as twelve numbers per pose: the input of every projector."""
 
 import torch
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from regtorch.geometry.detector import Detector
 from regtorch.geometry.projection import world_from_ct
 
 _MOVED = torch.tensor([[1.0, -1.0], [0.0, -1.0], [0.0, 0.0], [0.0, 0.0]])
-"""How source, first pixel and the two steps move against the patient when the source moves, when the patient does."""
+"""Motion of source, first pixel and both steps in the patient, when the source moves and when the patient moves."""
 
 
 def cone_beam_rays(
@@ -17,7 +17,7 @@ def cone_beam_rays(
     view: str,
     voxel_from_ct: Float[Tensor, "4 4"],
 ) -> Float[Tensor, "*b 12"]:
-    """Source, centre of pixel (0, 0), step to the next column, step to the next row: each (i, j, k) in voxels.
+    """Source, centre of pixel (0, 0), step to the next column and step to the next row, each as (i, j, k) in voxels.
 
     The ray of pixel (row, column) runs from the source to ``first + column * column_step + row * row_step``.
     """
@@ -30,9 +30,9 @@ def ray_jacobian(
 ) -> Float[Tensor, "*b 12 9"]:
     """Derivatives of ``cone_beam_rays`` by the nine parameters: voxels per mm, voxels per rad.
 
-    A point p of the world is A^-1 (p - t) in the ct frame, with A = R B_view and t where the patient is; a step has no
-    t. Turning the patient about an axis w by a small angle turns p - t, seen from the patient, by -w x (p - t). Here w
-    is R X for eta, Rz Y for theta and Z for phi.
+    A point p of the world is A^-1 (p - t) in the ct frame, with A = R B_view and the patient's place t. A step has no
+    t. Turning the patient about an axis w by a small angle moves p - t, seen from the patient, by -w x (p - t). The
+    axis w is R X for eta, Rz Y for theta and Z for phi.
     """
     world_from_patient = world_from_ct(parameters, view)
     in_world = _in_world(parameters, detector)
@@ -47,7 +47,7 @@ def ray_jacobian(
 
 
 def _in_world(parameters: Float[Tensor, "*b 9"], detector: Detector) -> Float[Tensor, "*b 4 4"]:
-    """Rows: source, centre of the first pixel, both steps; homogeneous, in mm."""
+    """Rows: source, centre of the first pixel, both steps. Homogeneous, in mm, in the ``world`` frame."""
     x, y = detector.centre_mm
     pixel = detector.pixel_mm
     fixed = parameters.new_tensor(

@@ -1,4 +1,4 @@
-"""Radiographic views: which way the patient faces at zero rotation."""
+"""Radiographic views: the direction that the patient faces at zero rotation."""
 
 import torch
 from jaxtyping import Float
@@ -23,12 +23,15 @@ VIEWS = tuple(_AXES)
 
 
 def world_from_patient_axes(view: str) -> Float[Tensor, "3 3"]:
-    """The rotation B of a view (float64): patient axes to world axes at eta = theta = phi = 0."""
+    """The rotation B of a view (float64), from patient axes to world axes at eta = theta = phi = 0.
+
+    Raises ``RegtorchError`` for an unknown view.
+    """
     if view not in _AXES:
         raise RegtorchError(f"unknown view {view!r}: expected one of {', '.join(VIEWS)}")
     return torch.tensor(_AXES[view], dtype=torch.float64)
 
 
 def same_view(one: str, other: str) -> bool:
-    """Whether two names mean the same view, as LAT and LLAT do; an unknown name equals no view."""
+    """Whether two names mean the same view, as LAT and LLAT do. An unknown name is never the same."""
     return one in _AXES and _AXES[one] == _AXES.get(other)

@@ -1,4 +1,4 @@
-"""Search of many starts at once. Knows nothing of X-rays: torch tensors in, torch tensors out."""
+"""Optimisation of many starts at once. It knows nothing of X-rays: torch tensors in, torch tensors out."""
 
 from regtorch.optimization.evolution_strategy import cma_es
 from regtorch.optimization.optimum import Optimum

@@ -1,4 +1,4 @@
-"""Bounds by a smooth change of coordinates, so that the optimiser itself never meets one."""
+"""Bounds by a smooth change of coordinates: the optimiser itself sees none."""
 
 import torch
 from jaxtyping import Float
@@ -6,15 +6,16 @@ from torch import Tensor
 
 from regtorch.errors import RegtorchError
 
-MARGIN = 0.05  # of the box's width
+MARGIN = 0.05
+"""Share of the box's width at either bound."""
 
 
 class Box:
-    """pycma's BoxConstraintsLinQuadTransformation with a margin that does not depend on where the origin lies.
+    """pycma's BoxConstraintsLinQuadTransformation with a margin that does not depend on the origin's place.
 
-    ``fold`` is the identity but within the margin of a bound, where it is quadratic, flat at the bound itself
-    (``margin`` beyond it in the unfolded coordinate); from there on it mirrors, so it is periodic and continuously
-    differentiable. An optimum on a bound becomes an ordinary interior one.
+    ``fold`` is the identity, except within the margin of a bound, where it is quadratic. It is flat at the bound
+    itself, which lies ``margin`` beyond the bound in the unfolded coordinate. From there on it mirrors. So it is
+    periodic and continuously differentiable, and an optimum on a bound becomes an ordinary interior one.
     """
 
     def __init__(self, lower: Float[Tensor, " d"], upper: Float[Tensor, " d"]) -> None:
@@ -27,7 +28,7 @@ class Box:
         self.margin = MARGIN * (upper - lower)
 
     def fold(self, y: Float[Tensor, "*b d"]) -> Float[Tensor, "*b d"]:
-        """From anywhere into the box."""
+        """The point of the box for any unfolded point."""
         first, length = self.lower - self.margin, self.upper - self.lower + 2 * self.margin
         t = torch.remainder(y - first, 2 * length)
         t = length - (t - length).abs()
@@ -37,11 +38,11 @@ class Box:
             t < 2 * self.margin, from_below, torch.where(t > length - 2 * self.margin, from_above, first + t)
         )
         x = torch.minimum(torch.maximum(x, self.lower), self.upper)
-        # Exactly the identity where it is one: no rounding between the optimiser and the objective.
+        # Exactly the identity away from bounds: no rounding between optimiser and objective.
         return torch.where((y >= self.lower + self.margin) & (y <= self.upper - self.margin), y, x)
 
     def unfold(self, x: Float[Tensor, "*b d"]) -> Float[Tensor, "*b d"]:
-        """The inverse of ``fold``, nearest to the box. ``RegtorchError`` for a point outside the box."""
+        """The unfolded point nearest to the box. Raises ``RegtorchError`` for a point outside the box."""
         if bool(((x < self.lower) | (x > self.upper)).any()):
             raise RegtorchError(
                 f"a start lies outside the bounds {self.lower.tolist()} to {self.upper.tolist()}: expected it inside"

@@ -11,7 +11,7 @@ Equations = Callable[[Float[Tensor, "n d"]], tuple[Float[Tensor, " n"], Float[Te
 
 
 class Ascent(NamedTuple):
-    """Where each start ended, how similar that is, with which J^T J, and how many points were looked at."""
+    """The end of each start, its similarity and J^T J, and the number of evaluations of all starts."""
 
     x: Float[Tensor, "n d"]
     similarity: Float[Tensor, " n"]
@@ -34,13 +34,17 @@ def levenberg_marquardt(
 ) -> Ascent:
     """Climb the mean rho of normalised correlations M F, whose residuals are M - F with Jacobian J.
 
-    ``equations`` gives rho, J^T J and J^T (M - F) summed over the correlations. Where M and F are unlike, the curvature
-    of rho is not J^T J but rho times that: M has constant length, so F M'' = -rho J^T J and a term of the part of F
-    beside M. Steps are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units
-    of ``scale``, and taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, or is
-    not taken though strongly damped. It also ends when a hardly damped step, which no limit cuts off, gains less than
-    ``least_gain`` of 1 - rho. A step that gains no more by J^T J is not tried. Points stay between ``lower`` and
-    ``upper``: a parameter at a limit that wants beyond rests.
+    Where M and F are unlike, the curvature of rho is not J^T J. M has constant length, so F M'' is -rho J^T J plus a
+    term of the part of F that is orthogonal to M. Steps use rho J^T J with Levenberg's damping, and are taken if rho
+    grows. Points stay between ``lower`` and ``upper``; a parameter at a limit rests while its slope points outwards.
+
+    Args:
+        equations: gives rho, J^T J and J^T (M - F), summed over the correlations.
+        scale: unit of each parameter in which steps, damping and ``tolerance`` are measured.
+        tolerance: a start ends with a shorter step, or with one that is refused although strongly damped.
+        damping: first damping, relative to the curvature.
+        least_gain: share of 1 - rho; a start ends where an almost undamped step within the limits gains less.
+        least_similarity: rho counts at least this much in the curvature.
     """
     x = start.clamp(lower, upper)
     similarity, jtj, jtr = (part.clone() for part in equations(x))
@@ -50,15 +54,13 @@ def levenberg_marquardt(
     for _ in range(steps):
         if not len(active):
             break
-        here = x[active]
-        slope = jtr[active] * scale
-        resting = ((here <= lower) & (slope > 0)) | ((here >= upper) & (slope < 0))
+        here, slope = x[active], jtr[active] * scale
         curvature = jtj[active] * scale[:, None] * scale
         curvature = curvature * similarity[active].clamp(min=least_similarity)[:, None, None]
-        step = _damped_step(curvature, slope, factor[active], resting)
+        resting = ((here <= lower) & (slope > 0)) | ((here >= upper) & (slope < 0))
+        step, foretold = _damped_step(curvature, slope, factor[active], resting)
         wanted = here + step * scale
         there = wanted.clamp(lower, upper)
-        foretold = -((slope + (curvature @ step[..., None])[..., 0] / 2) * step).sum(1)
         free = (factor[active] < 1) & (there == wanted).all(1)
         near = free & (foretold < least_gain * (1 - similarity[active]))
         here, there, free, active = here[~near], there[~near], free[~near], active[~near]
@@ -83,8 +85,8 @@ def _damped_step(
     slope: Float[Tensor, "n d"],
     factor: Float[Tensor, " n"],
     resting: Bool[Tensor, "n d"],
-) -> Float[Tensor, "n d"]:
-    """Levenberg's step; 0 for resting parameters, and for all of a start whose equations cannot be solved."""
+) -> tuple[Float[Tensor, "n d"], Float[Tensor, " n"]]:
+    """Levenberg's step of the parameters that do not rest, 0 where the equations cannot be solved; its foretold gain."""
     level = curvature.diagonal(dim1=1, dim2=2)
     damped = curvature + torch.diag_embed(
         factor[:, None] * (level + level.mean(1, keepdim=True)) + torch.finfo(slope.dtype).tiny
@@ -92,4 +94,5 @@ def _damped_step(
     moving = (~resting).to(slope)
     damped = damped * moving[:, :, None] * moving[:, None, :] + torch.diag_embed(1 - moving)
     step, failed = torch.linalg.solve_ex(damped, -(slope * moving)[..., None])
-    return torch.where(((failed == 0)[:, None]) & step[..., 0].isfinite().all(1, keepdim=True), step[..., 0], 0)
+    step = torch.where(((failed == 0)[:, None]) & step[..., 0].isfinite().all(1, keepdim=True), step[..., 0], 0)
+    return step, -((slope + (curvature @ step[..., None])[..., 0] / 2) * step).sum(1)

@@ -1,4 +1,4 @@
-"""Climbs without derivatives, many starts at once: CMA-ES in place of Levenberg-Marquardt, for comparison."""
+"""CMA-ES in place of Levenberg-Marquardt, many starts at once: a comparison without derivatives."""
 
 import torch
 from jaxtyping import Float
@@ -20,12 +20,16 @@ def evolve(
     generations_per_step: int = 4,
     first_step: float = 5.0,
 ) -> Ascent:
-    """``levenberg_marquardt``'s interface; of ``equations`` the similarity alone is used until the end is reached.
+    """Climb with the interface of ``levenberg_marquardt``, but by similarities alone.
 
-    Derivatives are computed all the same: compare evaluations, not seconds.
+    ``equations`` computes derivatives all the same: compare evaluations, not seconds.
 
-    ``first_step`` is in units of ``scale``, less where ``damping`` says that the start is near its end (its fourth
-    root, 1 for 1e-2).
+    Args:
+        equations, start, lower, upper, scale: as in ``levenberg_marquardt``.
+        steps: each stands for ``generations_per_step`` generations.
+        damping: shortens the first step of a start near its end, by the fourth root of damping / 1e-2.
+        generations_per_step: generations of CMA-ES per step.
+        first_step: first standard deviation, in units of ``scale``.
     """
     sigma = (first_step * (damping / 1e-2) ** 0.25 * scale).clamp(max=(upper - lower) / 4)
     found = cma_es(

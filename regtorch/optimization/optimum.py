@@ -1,4 +1,4 @@
-"""The answer of every optimiser of this folder."""
+"""The result of every optimiser in this folder."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,10 @@ from torch import Tensor
 class Optimum:
     """The end of n starts in d parameters; float64, on the CPU.
 
-    ``x`` and ``cost`` are the best point that each start ever evaluated. ``mean`` and ``covariance`` are the search
-    distribution at the end, in the units of the parameters and with the step size in it (sigma^2 C); within a
-    twentieth of the box's width from a bound, ``covariance`` is that of the unfolded coordinates (see ``Box``).
-    ``reason`` names the rule that stopped each start.
+    ``x`` and ``cost`` are the best point that each start evaluated. ``mean`` and ``covariance`` are the last search
+    distribution in the parameters' units; the covariance includes the step size (sigma^2 C). Within a twentieth of
+    the box's width from a bound, ``covariance`` is that of the unfolded coordinates (see ``Box``). ``reason`` names
+    the rule that stopped each start.
     """
 
     x: Float[Tensor, "n d"]
@@ -26,5 +26,5 @@ class Optimum:
 
     @property
     def best(self) -> int:
-        """Which start ended lowest; the first one of equals."""
+        """Index of the start with the lowest cost; the first one of equals."""
         return int(self.cost.argmin())

@@ -1,4 +1,4 @@
-"""Many starts that cover a box evenly, and the best of them (Otake et al. 2013b; Bentley 1975)."""
+"""Multi-start search from the cells of a kD-tree (Otake et al. 2013b; Bentley 1975)."""
 
 from collections.abc import Callable
 
@@ -15,8 +15,9 @@ def kd_partition(
 ) -> tuple[Float[Tensor, "n d"], Float[Tensor, "n d"]]:
     """Split a box into exactly ``n`` cells of equal volume; returns their lower and upper corners.
 
-    Always across the axis whose extent divided by ``scale`` is largest, the first one of equals, and in proportion to
-    the cells on either side. ``scale`` is an equally long way in each parameter, in its unit.
+    Each cut crosses the axis with the largest extent in units of ``scale``, the first one of equals. The volumes on
+    both sides are in proportion to their numbers of cells. ``scale`` holds equally long steps of the parameters, each
+    in its unit.
     """
     if n < 1:
         raise RegtorchError(f"{n} cells: expected at least one")
@@ -44,9 +45,14 @@ def multi_start(
 ) -> Optimum:
     """Minimise from the centre of each cell of ``kd_partition``, all at once; the answer is at ``Optimum.best``.
 
-    The first standard deviations are ``sigma_fraction`` of the cell's sides (0.3: Hansen's tutorial, appendix B.1).
-    The whole box bounds the search, not the cell. ``search`` is ``cma_es`` or ``pycma`` with the objective bound to it:
-    ``partial(cma_es, objective, seed=...)``.
+    The whole box bounds every search, not the cell.
+
+    Args:
+        search: ``cma_es`` or ``pycma`` with the objective bound to it, as in ``partial(cma_es, objective, seed=...)``.
+        lower, upper: corners of the box.
+        starts: number of cells.
+        scale: as in ``kd_partition``.
+        sigma_fraction: first standard deviations, as a share of a cell's sides (Hansen's tutorial, appendix B.1).
     """
     low, high = kd_partition(lower, upper, starts, scale=scale)
     return search((low + high) / 2, sigma_fraction * (high - low), lower=lower, upper=upper)

@@ -1,4 +1,4 @@
-"""The state of the starts that are still running: one row each, so that a start that has ended is a row dropped."""
+"""The state of all running starts, one row each. An ended start is a row dropped."""
 
 from dataclasses import dataclass, fields
 
@@ -11,9 +11,9 @@ from regtorch.optimization.start import Start
 
 @dataclass
 class Rows:
-    """Symbols of the tutorial, in the coordinates of ``Start``: a starts, n parameters, G generations foreseen."""
+    """Symbols of the tutorial, in the coordinates of ``Start``: a starts, n parameters, room for G generations."""
 
-    start: Int[Tensor, " a"]  # which start the row is
+    start: Int[Tensor, " a"]  # number of the start
     m: Float[Tensor, "a n"]
     sigma: Float[Tensor, " a"]
     C: Float[Tensor, "a n n"]
@@ -21,7 +21,7 @@ class Rows:
     D: Float[Tensor, "a n"]
     p_sigma: Float[Tensor, "a n"]
     p_c: Float[Tensor, "a n"]
-    first_length: Float[Tensor, " a"]  # longest axis at the start
+    first_length: Float[Tensor, " a"]  # first length of the longest axis
     best_u: Float[Tensor, "a n"]
     best_cost: Float[Tensor, " a"]
     best: Float[Tensor, "a G"]  # lowest cost of each generation
@@ -34,7 +34,7 @@ class Rows:
 
 
 def first_rows(begin: Start) -> Rows:
-    """Every start, before its first generation."""
+    """All starts before their first generation."""
     n = len(begin.u)
     B, D = principal_axes(begin.shape)
     zero, infinite = torch.zeros_like(begin.u), torch.full((n,), torch.inf, dtype=torch.float64)
@@ -45,8 +45,8 @@ def first_rows(begin: Start) -> Rows:
 def principal_axes(C: Float[Tensor, "a n n"]) -> tuple[Float[Tensor, "a n n"], Float[Tensor, "a n"]]:
     """C = B D^2 B^T, D ascending.
 
-    Blocks are padded to multiples of 8: LAPACK's last digits depend on how a matrix lies in memory, hence, unpadded,
-    on its place in the batch. The padding's eigenvalues come last and its axes do not mix with ours.
+    Blocks are padded to multiples of 8. LAPACK's last digits depend on a matrix's alignment in memory: without
+    padding, on its place in the batch. The padding's eigenvalues come last, and its axes do not mix with the others.
     """
     a, n, _ = C.shape
     size = -(-n // 8) * 8

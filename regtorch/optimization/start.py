@@ -1,4 +1,4 @@
-"""The starts of a search, checked once and brought to coordinates in which all are alike."""
+"""The starts of a search, checked and brought to coordinates in which all starts are alike."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from regtorch.optimization.box import Box
 
 @dataclass(frozen=True)
 class Start:
-    """n starts in coordinates u in which each parameter's first standard deviation is at most 1.
+    """n starts in coordinates u, in which each parameter's first standard deviation is at most 1.
 
     A parameter is ``box.fold(u * scale)``, or ``u * scale`` without a box. ``shape`` has a largest diagonal of 1.
     """
@@ -23,7 +23,7 @@ class Start:
     box: Box | None
 
     def real(self, u: Float[Tensor, "n *b d"], starts: Tensor | slice = slice(None)) -> Float[Tensor, "n *b d"]:
-        """The parameters of points ``u`` of the chosen ``starts`` (all of them unless told)."""
+        """The parameters of points ``u`` of the chosen ``starts``, by default of all."""
         scale = self.scale[starts]
         y = u * scale.view(len(scale), *(1,) * (u.dim() - 2), -1)
         return y if self.box is None else self.box.fold(y)
@@ -36,7 +36,7 @@ def prepare(
     upper: Float[Tensor, " d"] | None,
     covariance: Float[Tensor, "n d d"] | None,
 ) -> Start:
-    """``Start`` of the arguments that all optimisers share; ``RegtorchError`` says which of them is wrong."""
+    """``Start`` from the arguments that all optimisers share; ``RegtorchError`` names the wrong one."""
     start = start.detach().cpu().double()
     n, d = start.shape
     if n < 1 or d < 1 or not bool(start.isfinite().all()):

@@ -1,4 +1,4 @@
-"""When a start has ended: appendix B.3 of Hansen's tutorial, arXiv 1604.00772, for all starts at once."""
+"""Stopping rules for all starts at once: appendix B.3 of Hansen's tutorial, arXiv 1604.00772."""
 
 import math
 from dataclasses import dataclass
@@ -9,12 +9,13 @@ from torch import Tensor
 
 from regtorch.optimization.rows import Rows
 
-STAGNATION_EVERY = 10  # generations between two looks at long histories: the only costly rule
+STAGNATION_EVERY = 10
+"""Generations between two tests of long histories, the only costly rule."""
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """``fun`` and ``fun_hist`` in units of the cost, ``x`` in units of the initial standard deviations."""
+    """``fun`` and ``fun_hist`` are in units of the cost, ``x`` in units of the first standard deviations."""
 
     fun: float
     fun_hist: float
@@ -26,7 +27,7 @@ class Tolerances:
 def converged(
     g: int, cost: Float[Tensor, "a lam"], rows: Rows, tolerances: Tolerances
 ) -> dict[str, Bool[Tensor, " a"]]:
-    """The rules on costs, after generation ``g`` (from 1), whose costs are ``cost``."""
+    """Rules on the costs, after generation ``g`` (counted from 1) with costs ``cost``."""
     n, lam = rows.m.shape[1], cost.shape[1]
     best, median = rows.best[:, :g], rows.median[:, :g]
     rules = {}
@@ -49,7 +50,7 @@ def converged(
 
 
 def degenerate(g: int, rows: Rows, tolerances: Tolerances) -> dict[str, Bool[Tensor, " a"]]:
-    """The rules on the search distribution."""
+    """Rules on the search distribution."""
     step, m = rows.sigma[:, None], rows.m
     deviation = step * rows.C.diagonal(dim1=1, dim2=2).sqrt()
     axis = (g - 1) % m.shape[1]

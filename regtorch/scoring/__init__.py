@@ -1,4 +1,4 @@
-"""Projection and similarity in one: poses in, gradient correlation and its normal equations out."""
+"""Projection and similarity in one pass: gradient correlation of poses, and its normal equations."""
 
 from regtorch.scoring.score import gradient_correlations, normal_equations
 

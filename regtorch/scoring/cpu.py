@@ -1,6 +1,6 @@
-"""Poses in, sums of gradient images out: a band of a DRR and of its derivatives never leaves the core's cache.
+"""Sums of gradient images of poses: a band of a DRR and of its derivatives never leaves the core's cache.
 
-Where several poses' bands fit there, these poses are rendered together, tiles' row by tiles' row: they read the same
+Poses whose bands fit the cache together are rendered together, one row of tiles after the other. They read the same
 part of the volume.
 """
 
@@ -54,14 +54,14 @@ def _share(thread, threads, stacks, spacing, rays, ray_jacobian, band, unit, roo
     poses, count, _, images, _ = partial.shape
     rows, columns = root.shape
     fit = max(1, IN_CACHE // (images * (band + 2) * columns))
-    groups = max(1, (poses + fit * threads - 1) // (fit * threads)) * threads  # as many for each thread
+    groups = max(1, (poses + fit * threads - 1) // (fit * threads)) * threads  # the same number for each thread
     together = (poses + groups - 1) // groups
     buffers = np.empty((together, images, band + 2, columns), np.float32)
     gradients = gradient_scratch(images, columns)
     room, slopes = scratch(1), slope_scratch(1, ray_jacobian)
     for item in range(thread, groups * count, threads):
         b = item // groups
-        group = (item + b) % groups  # so that one pose's bands are shared out as well
+        group = (item + b) % groups  # shares out the bands of one pose as well
         first, last = group * together, min((group + 1) * together, poses)
         row0, row1 = b * band, min((b + 1) * band, rows)
         if row0 >= row1:

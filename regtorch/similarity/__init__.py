@@ -1,4 +1,4 @@
-"""How alike two images are: higher is better. Many moving images against one fixed image at a time."""
+"""Similarities of many moving images with one fixed image; higher is better."""
 
 from regtorch.similarity.gc import gradient_correlation, gradient_correlation_image
 from regtorch.similarity.gi import gradient_information

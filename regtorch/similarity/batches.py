@@ -1,4 +1,4 @@
-"""Any batch of moving images, a bounded number of pixels at a time."""
+"""Similarities of any batch of moving images, in bounded memory."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ def over_images(
     fixed: Tensor,
     weight: Tensor | None,
 ) -> Float[Tensor, "..."]:
-    """``values`` of every moving image, with the batch shape put back; checks that all images have one shape."""
+    """``values`` of every moving image, in the batch's shape. Raises ``RegtorchError`` for different shapes."""
     h, w = moving.shape[-2:]
     for name, image in (("fixed image", fixed), ("weight", weight)):
         if image is not None and image.shape != (h, w):

@@ -1,4 +1,4 @@
-"""The sums behind gradient correlation in one pass over images that are still in the cache."""
+"""Sums for gradient correlation in one pass over images that are still in the cache."""
 
 from typing import no_type_check
 
@@ -9,14 +9,14 @@ from numba import get_num_threads, njit, prange
 from torch import Tensor
 
 IN_CACHE = 1 << 17
-"""Floats that a core's second-level cache holds beside everything else."""
+"""Floats that fit a core's second-level cache beside other data."""
 
 _ROWS = 130
 _GRADIENTS = 8192
 
 
 def can_sum(images: Tensor) -> bool:
-    """Whether ``gradient_gram`` can take these images: float32 on the CPU, no derivative wanted."""
+    """Whether ``gradient_gram`` supports these images: float32 on the CPU, without a derivative."""
     wanted = torch.is_grad_enabled() and images.requires_grad
     return images.device.type == "cpu" and images.dtype == torch.float32 and not wanted
 
@@ -24,7 +24,7 @@ def can_sum(images: Tensor) -> bool:
 def gradient_gram(
     images: Float[Tensor, "n h w"], fixed: Float[Tensor, "2 h w"], root: Float[Tensor, "h w"]
 ) -> tuple[Float[Tensor, "n 2 1 3"], Float[Tensor, " n"]]:
-    """``similarity.gram.gradient_gram`` of images without derivatives, their gradients never stored whole."""
+    """``similarity.gram.gradient_gram`` of images without derivatives; gradients are never stored whole."""
     n, rows, columns = images.shape
     count, band = bands(rows, columns, 1)
     partial, squares = np.zeros((n, count, 2, 1, 3)), np.zeros((n, count))
@@ -34,9 +34,9 @@ def gradient_gram(
 
 
 def bands(rows: int, columns: int, images: int) -> tuple[int, int]:
-    """How many bands of how many rows an image is summed in, so that ``images`` bands stay in a core's cache.
+    """Number of bands of an image, and rows of each, so that ``images`` bands stay in a core's cache.
 
-    Independent of the number of threads, so that any gives the same bits.
+    They do not depend on the number of threads, so that any number gives the same bits.
     """
     most = max(1, min(_ROWS, IN_CACHE // (images * columns)) - 2)
     count = -(-rows // most)
@@ -61,11 +61,11 @@ def _grams(images, fixed, root, band, partial, squares, chunks):
 @njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
 @no_type_check
 def band_gram(padded, row0, row1, fixed, root, gradients, sums):
-    """Into ``sums`` [2, m, m + 2] for rows ``row0`` to ``row1`` of images [m, h, w].
+    """Products of the gradients of rows ``row0`` to ``row1`` of images [m, h, w], into ``sums`` [2, m, m + 2].
 
-    For the x- and the y-gradients, each times ``root``: their products with ``fixed`` [2, h, w], with ``root`` and with
-    one another (upper triangle). Returns the sum of squares of the first image. ``padded`` [m, rows + 2, w] holds the
-    rows from ``row0`` - 1 on, ``gradients`` is ``gradient_scratch``.
+    The x- and the y-gradients, times ``root``, are multiplied with ``fixed`` [2, h, w], with ``root`` and with one
+    another (upper triangle). Returns the sum of squares of the first image. ``padded`` [m, rows + 2, w] holds the rows
+    from ``row0`` - 1 on; ``gradients`` is ``gradient_scratch``.
     """
     m, _, columns = padded.shape
     step = gradients.shape[2] // columns
@@ -93,9 +93,9 @@ def band_gram(padded, row0, row1, fixed, root, gradients, sums):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _differentiate(above, columns, pixels, root, dx, dy):
-    """Sobel's derivatives over 8, times ``root``, of the rows after the first one in ``above``.
+    """Sobel derivatives over 8, times ``root``, of the rows in ``above`` after the first.
 
-    In one loop over all rows as if they were one, after which each row's ends are set right: borders are replicated.
+    One loop treats all rows as one; then each row's ends are corrected, with replicated borders.
     """
     eighth, two = np.float32(0.125), np.float32(2)
     here, below = above[columns:], above[2 * columns :]
@@ -128,5 +128,5 @@ def _dot(a, b, n):
 @njit(nogil=True)
 @no_type_check
 def gradient_scratch(images, columns):
-    """Room [2, images, pixels] for a few rows of gradients: the fastest cache holds as much."""
+    """Room [2, images, pixels] for the few rows of gradients that fit the fastest cache."""
     return np.empty((2, images, max(1, _GRADIENTS // (images * columns)) * columns), np.float32)

@@ -1,4 +1,4 @@
-"""Gradient correlation, eqs. (2)-(3) of the paper (Penney et al. 1998): the method's similarity."""
+"""Gradient correlation, eqs. (2)-(3) of the paper (Penney et al. 1998): the default similarity."""
 
 from types import ModuleType
 
@@ -16,13 +16,16 @@ from regtorch.similarity.ncc import centred_, peak
 def gradient_correlation(
     moving: Float[Tensor, "*b h w"], fixed: Float[Tensor, "h w"], *, weight: Float[Tensor, "h w"] | None = None
 ) -> Float[Tensor, "*b"]:
-    """Eq. (2): the mean of the normalised cross-correlations of the x- and of the y-gradients (Sobel); -1 to 1.
+    """Eq. (2): mean of the normalised cross-correlations of the x- and the y-gradients (Sobel), -1 to 1.
 
-    Unchanged by gain and offset of either image; a direction in which one of them has no gradient counts as 0.
-    ``weight`` (not negative) makes all sums over the image weighted ones, by ``gradient_weight``: a pixel of weight
-    zero has no influence. All tensors share dtype and device. All moving images are one matrix, the fixed image a
-    vector, and each direction one matrix product; where no derivative is wanted, one pass of a fused kernel over each
-    image gives the same sums. Differentiable. Raises ``RegtorchError`` for different shapes.
+    Gain and offset of either image do not matter. A direction in which one image has no gradient counts as 0. The
+    result is differentiable. Without a derivative, a fused kernel makes the same sums in one pass over each image.
+    Raises ``RegtorchError`` for images of different shapes.
+
+    Args:
+        moving: moving images.
+        fixed: fixed image, of the same dtype and device.
+        weight: weights of the pixels, not negative, by ``gradient_weight``. A pixel of weight 0 has no influence.
     """
 
     def values(images: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:
@@ -38,7 +41,7 @@ def gradient_correlation(
 def gradient_correlation_image(
     moving: Float[Tensor, "*b h w"], fixed: Float[Tensor, "h w"], *, weight: Float[Tensor, "h w"] | None = None
 ) -> Float[Tensor, "*b h w"]:
-    """Each pixel's share of ``gradient_correlation``, as in figure 7: an image's pixels sum to its value."""
+    """Contribution of each pixel to ``gradient_correlation`` (figure 7); the pixels of an image sum to its value."""
 
     def values(images: Float[Tensor, "n h w"]) -> Float[Tensor, "n h w"]:
         pairs = _centred_gradients(images, fixed, weight)
@@ -50,7 +53,7 @@ def gradient_correlation_image(
 def _centred_gradients(
     images: Float[Tensor, "n h w"], fixed: Float[Tensor, "h w"], weight: Float[Tensor, "h w"] | None
 ) -> list[tuple[Float[Tensor, "n p"], Float[Tensor, " p"], Float[Tensor, " n"]]]:
-    """For x and y: gradients of the moving and of the fixed images less their means, one over both their lengths."""
+    """For x and y: centred gradients of the moving and of the fixed images, and one over the product of lengths."""
     w = None if weight is None else gradient_weight(weight).flatten()
     moving_peak, fixed_peak = peak(images), peak(fixed[None])
     pairs = []

@@ -1,4 +1,4 @@
-"""Gradient information, the similarity of the paper's predecessor (Pluim et al. 2000; Otake et al. 2013b)."""
+"""Gradient information (Pluim et al. 2000), the similarity of the paper's predecessor (Otake et al. 2013b)."""
 
 import torch
 from jaxtyping import Float
@@ -11,11 +11,11 @@ from regtorch.similarity.gradients import gradient_weight, image_gradients
 def gradient_information(
     moving: Float[Tensor, "*b h w"], fixed: Float[Tensor, "h w"], *, weight: Float[Tensor, "h w"] | None = None
 ) -> Float[Tensor, "*b"]:
-    """sum (cos(2 alpha) + 1) / 2 * min(|g|, |g'|) over the pixels, alpha the angle between the two gradients (Sobel).
+    """Sum over the pixels of (cos(2 alpha) + 1) / 2 * min(|g|, |g'|), with the angle alpha between gradients (Sobel).
 
-    Not negative, in the images' unit per pixel: it relies on both images having the same gain. ``weight`` (not
-    negative) multiplies each pixel's term, by ``gradient_weight``: a pixel of weight zero has no influence. All
-    tensors share dtype and device. Raises ``RegtorchError`` for images of different shapes.
+    The result is not negative, in the images' unit per pixel. Both images must have the same gain. All tensors share
+    dtype and device. ``weight`` (not negative) multiplies each pixel's term, by ``gradient_weight``. A pixel of weight
+    0 has no influence. Raises ``RegtorchError`` for images of different shapes.
     """
 
     def values(images: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:

@@ -1,4 +1,4 @@
-"""Sobel gradients of many images by one depthwise filter, and the weight that belongs to a gradient."""
+"""Sobel gradients of many images by one depthwise filter, and the weight of a gradient."""
 
 import torch
 from jaxtyping import Float
@@ -7,9 +7,9 @@ from torch import Tensor
 
 
 def image_gradients(images: Float[Tensor, "b h w"]) -> tuple[Float[Tensor, "b h w"], Float[Tensor, "b h w"]]:
-    """d/dx (along columns) and d/dy per pixel, borders replicated: the values of ``kornia.filters.spatial_gradient``.
+    """d/dx (along columns) and d/dy per pixel, borders replicated, as by ``kornia.filters.spatial_gradient``.
 
-    ``spatial_gradient`` takes images as a batch; as channels of ``filter2d`` they run several times faster on a CPU.
+    ``spatial_gradient`` takes images as a batch. As channels of ``filter2d`` they run several times faster on a CPU.
     """
     kernels = get_spatial_gradient_kernel2d("sobel", 1, device=images.device, dtype=images.dtype) / 8
     dx, dy = (filter2d(images[None], kernel[None], "replicate")[0] for kernel in kernels)
@@ -17,8 +17,8 @@ def image_gradients(images: Float[Tensor, "b h w"]) -> tuple[Float[Tensor, "b h 
 
 
 def gradient_weight(weight: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-    """Each pixel's smallest weight among the nine its gradient is made of.
+    """Smallest weight among the nine pixels of each gradient.
 
-    So that a pixel of weight zero has no influence at all, also not as its neighbours' edge.
+    So a pixel of weight 0 has no influence, not even as an edge of its neighbours.
     """
     return -torch.nn.functional.max_pool2d(-weight[None], 3, stride=1, padding=1)[0]

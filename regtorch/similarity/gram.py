@@ -1,9 +1,10 @@
 """Gradient correlation and its normal equations from products of gradient images alone.
 
-Take one direction, and multiply all gradients by r, the root of the weight: m is the moving image's gradient, f the
-fixed image's, and g_1 to g_p those of the moving image's derivatives. A prime takes off the weighted mean. Let
-M = m'/|m'|, F = f'/|f'| and rho = M F. The residual M - F has the derivative J_i = (g_i' - M (M g_i')) / |m'|, so
+For one direction let m and f be the gradients of the moving and the fixed image. Let g_1 ... g_p be those of the moving
+image's derivatives. All are multiplied by r, the root of the weight; m', f' and g_i' are centred by weighted means.
+Let M = m'/|m'|, F = f'/|f'| and rho = M F. Then the residual M - F and its derivative J_i obey
 
+    J_i = (g_i' - M (M g_i')) / |m'|
     J_i J_j = (g_i' g_j' - (M g_i') (M g_j')) / |m'|^2        J_i (M - F) = (rho (M g_i') - F g_i') / |m'|.
 
 All are sums and products of entries of the Gram matrix of (m, g_1 ... g_p) with (F, r, m, g_1 ... g_p).
@@ -20,14 +21,17 @@ from regtorch.similarity.ncc import centred_, peak
 
 
 class FixedGradients(NamedTuple):
-    """The fixed image's side: F (0 where it does not vary) and r, see above."""
+    """F (0 for an image that does not vary) and r of the fixed image."""
 
     unit: Float[Tensor, "2 h w"]
     root: Float[Tensor, "h w"]
 
 
 class NormalEquations(NamedTuple):
-    """Per pose: gradient correlation, J^T J and J^T r of both directions' residuals; |r|^2 = 4 (1 - similarity)."""
+    """Per pose: gradient correlation, and J^T J and J^T r of the residual r of both directions.
+
+    |r|^2 = 4 (1 - similarity).
+    """
 
     similarity: Float[Tensor, " n"]
     jtj: Float[Tensor, "n p p"]
@@ -35,7 +39,7 @@ class NormalEquations(NamedTuple):
 
 
 def fixed_gradients(fixed: Float[Tensor, "h w"], weight: Float[Tensor, "h w"] | None) -> FixedGradients:
-    """Normalised gradients of the fixed image under a weight, by ``gradient_weight``."""
+    """Normalised gradients of the fixed image, weighted by ``gradient_weight``."""
     w = torch.ones_like(fixed) if weight is None else gradient_weight(weight)
     unit = []
     for gradient in image_gradients(fixed[None]):
@@ -47,9 +51,9 @@ def fixed_gradients(fixed: Float[Tensor, "h w"], weight: Float[Tensor, "h w"] | 
 def gradient_gram(
     images: Float[Tensor, "n m h w"], fixed: FixedGradients
 ) -> tuple[Float[Tensor, "n 2 m m+2"], Float[Tensor, " n"]]:
-    """For the x- and the y-direction, products of (m, g_1 ... g_p) = ``images`` with (F, r, m, g_1 ... g_p), float64.
+    """Products of (m, g_1 ... g_p) = ``images`` with (F, r, m, g_1 ... g_p), for x and y, in float64.
 
-    The second result is the root mean square of each first image. The plain form of the fused kernels.
+    The second result is the root mean square of each first image. This is the reference of the fused kernels.
     """
     n, m = images.shape[:2]
     grams = []
@@ -63,9 +67,10 @@ def gradient_gram(
 def equations_from_gram(
     gram: Float[Tensor, "n 2 m m+2"], magnitude: Float[Tensor, " n"], fixed: FixedGradients, precision: float
 ) -> NormalEquations:
-    """From the upper triangle of the Gram matrix; a direction in which the moving image does not vary counts as 0.
+    """Normal equations from the upper triangle of the Gram matrix.
 
-    It does not vary if its gradients are within the rounding of images of ``magnitude`` with relative ``precision``.
+    A direction in which the moving image does not vary counts as 0. It does not vary if its gradients are within the
+    rounding of images of ``magnitude`` with relative ``precision``.
     """
     with_fixed, sums, products = gram[..., 0], gram[..., 1], gram[..., 2:]
     total = fixed.root.double().square().sum().clamp_min(torch.finfo(torch.float64).tiny)

@@ -1,4 +1,4 @@
-"""Normalised cross-correlation, eq. (3) of the paper, weighted, and the centring that gradient correlation shares."""
+"""Weighted normalised cross-correlation, eq. (3) of the paper, and its centring."""
 
 import torch
 from jaxtyping import Float
@@ -10,10 +10,10 @@ from regtorch.similarity.batches import over_images
 def normalized_cross_correlation(
     moving: Float[Tensor, "*b h w"], fixed: Float[Tensor, "h w"], *, weight: Float[Tensor, "h w"] | None = None
 ) -> Float[Tensor, "*b"]:
-    """Eq. (3): -1 to 1, whatever the gain and offset of either image; 0 where one of them does not vary.
+    """Eq. (3), -1 to 1: gain and offset of either image do not matter. It is 0 if one of them does not vary.
 
-    ``weight`` (not negative) turns sums into weighted sums, means included. All tensors share dtype and device.
-    Differentiable. Raises ``RegtorchError`` for images of different shapes.
+    ``weight`` (not negative) weights all sums and means. All tensors share dtype and device. The result is
+    differentiable. Raises ``RegtorchError`` for images of different shapes.
     """
     w = None if weight is None else weight.flatten()
 
@@ -28,9 +28,9 @@ def normalized_cross_correlation(
 def centred_(
     values: Float[Tensor, "n p"], weight: Float[Tensor, " p"] | None, magnitude: Float[Tensor, " n"]
 ) -> tuple[Float[Tensor, "n p"], Float[Tensor, " n"]]:
-    """In place: ``values`` less their mean, times the root of the weight; and one over the length of that.
+    """Centre ``values`` in place and multiply them by the root of the weight; also returns one over their length.
 
-    The second is 0 where ``values`` do not vary beyond the rounding of numbers of ``magnitude``.
+    The latter is 0 where ``values`` vary by no more than the rounding of numbers of ``magnitude``.
     """
     if weight is None:
         total = values.new_tensor(values.shape[1])
@@ -39,11 +39,11 @@ def centred_(
         total = weight.sum()
         values.sub_((values @ weight / total.clamp_min(torch.finfo(values.dtype).tiny))[:, None]).mul_(weight.sqrt())
     length = torch.linalg.vector_norm(values, dim=1)
-    varies = ~(length <= 8 * torch.finfo(values.dtype).eps * magnitude * total.sqrt())  # not a number stays one
+    varies = ~(length <= 8 * torch.finfo(values.dtype).eps * magnitude * total.sqrt())  # keeps NaN
     # The inner choice keeps the derivative of the other branch finite.
     return values, torch.where(varies, 1 / torch.where(varies, length, 1), 0)
 
 
 def peak(images: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:
-    """Largest magnitude in each image: its rounding is relative to this."""
+    """Largest magnitude in each image, the reference of its rounding."""
     return torch.linalg.vector_norm(images.detach(), torch.inf, dim=(1, 2))

@@ -17,10 +17,15 @@ def normalized_mutual_information(
 ) -> Float[Tensor, "*b"]:
     """(H(moving) + H(fixed)) / H(moving, fixed): 1 for independent images, 2 for images that determine each other.
 
-    Each image's range is divided evenly into ``bins``; a value counts in the two bins nearest to it, linearly (a
-    Parzen window of order one). ``weight`` (not negative) is a pixel's weight; where it is zero the pixel does not
-    set the range either. Unchanged by positive gain and offset; 1 where an image does not vary. All tensors share
-    dtype and device. Differentiable almost everywhere. Raises ``RegtorchError`` for different shapes.
+    Positive gain and offset of either image do not matter. The result is 1 if an image does not vary. It is
+    differentiable almost everywhere. Raises ``RegtorchError`` for different shapes and fewer than two bins.
+
+    Args:
+        moving: moving images.
+        fixed: fixed image, of the same dtype and device.
+        weight: weights of the pixels, not negative. A pixel of weight 0 does not affect the range either.
+        bins: equal parts of each image's range. A value counts in the two nearest bins, linearly (a Parzen window of
+            order one).
     """
     if bins < 2:
         raise RegtorchError(f"{bins} bins: expected at least 2")
@@ -45,7 +50,7 @@ def normalized_mutual_information(
 def _soft_bins(
     images: Float[Tensor, "n h w"], weight: Float[Tensor, "h w"], bins: int
 ) -> tuple[Int[Tensor, "n p"], Float[Tensor, "n p"]]:
-    """The lower of the two bins of each pixel, and the share of the pixel that belongs to the upper one."""
+    """The lower bin of each pixel, and the pixel's share in the next bin."""
     counts, values = weight.flatten() > 0, images.flatten(1)
     low = torch.where(counts, values, torch.inf).amin(1, keepdim=True)
     high = torch.where(counts, values, -torch.inf).amax(1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Which pixels of a radiograph a DRR explains, and how little the others should count."""
+"""Robust weights: pixels of a radiograph that a DRR does not explain count less."""
 
 import torch
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from torch import Tensor
 from regtorch.similarity.gradients import gradient_weight, image_gradients
 
 _NOTHING = 1e-6
-"""Share of the energy that counts as no residual: rounding."""
+"""Share of the energy that is rounding and no residual."""
 
 
 def explained_weight(
@@ -19,15 +19,22 @@ def explained_weight(
     width_px: float = 1.5,
     floor: float = 0.03,
 ) -> Float[Tensor, "h w"]:
-    """``weight`` times floor / (floor + e), e the residual of the gradients' energy about a pixel over its mean.
+    """Robust weights: ``weight`` times floor / (floor + e), with the relative residual energy e about each pixel.
 
-    The moving image's gradients are fitted to the fixed image's by least squares. Their residual is squared and
-    averaged over ``width_px`` (standard deviation). It is the variance that a pixel's gradients have for a reason that
-    no pose can mend: a wire, a letter, an organ that has moved, few photons. Weighing by its inverse is one step of
-    iteratively reweighted least squares; where all is explained alike, all counts alike.
+    The moving image's gradients are fitted to the fixed image's by least squares. The squared residuals, averaged about
+    each pixel and divided by their mean over the image, are e. They estimate the variance of gradients that no pose
+    explains: wires, letters, moved organs, few photons. Weights by inverse variance are one step of iteratively
+    reweighted least squares. Equal residuals leave the weights in proportion.
+
+    Args:
+        moving: DRR of the pose.
+        fixed: fixed image.
+        weight: present weights of the pixels.
+        width_px: standard deviation of the Gaussian that averages residuals, in pixels.
+        floor: a smaller floor makes weights fall faster with the residual.
     """
     tiny = torch.finfo(weight.dtype).tiny
-    counts = gradient_weight(weight)  # beside a mask gradients are those of its edge
+    counts = gradient_weight(weight)  # excludes gradients at the edge of a mask
     total = counts.sum().clamp_min(tiny)
     energy, whole = torch.zeros_like(fixed), 0
     for m, f in zip(image_gradients(moving[None]), image_gradients(fixed[None]), strict=True):

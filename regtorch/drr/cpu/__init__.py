@@ -1,6 +1,6 @@
 """Fused CPU projectors (numba): values, exact derivatives by the rays, and adjoints, of every method.
 
-Kernels call the six numbers of ``Volume.grid`` ``spacing``: voxel sizes in mm, then sharpness.
+In kernels, ``spacing`` holds the six numbers of ``Volume.grid``: voxel sizes in mm, then sharpness.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from regtorch.drr.cpu.scratch import TILE_COLUMNS, TILE_ROWS
 from regtorch.drr.cpu.slices import prepared
 
 _SHARES = 4
-"""How many partial volumes an adjoint is summed from: fixed, so that any number of threads gives the same bits."""
+"""Number of partial volumes summed in an adjoint. It is fixed, so that any number of threads gives the same bits."""
 
 
 def why_not(data: Tensor, method: str) -> str:
-    """The reason why this backend cannot render; empty when nothing does."""
+    """The reason why this backend cannot render; empty if it can."""
     if data.device.type != "cpu" or data.dtype != torch.float32:
         return f"a volume of {data.dtype} on {data.device}, expected torch.float32 on cpu"
     return ""
@@ -48,7 +48,7 @@ def project_with_jacobian(
     columns: int,
     method: str,
 ) -> tuple[Float[Tensor, "b classes rows columns"], Float[Tensor, "b classes p rows columns"]]:
-    """Line integrals, and their derivatives by p parameters of which ``ray_jacobian`` is d rays / d parameters."""
+    """Line integrals and their derivatives by p parameters, with ``ray_jacobian`` = d rays / d parameters."""
     images = _empty(len(rays), data.shape[:-3].numel(), rows, columns)
     jacobian = _empty(*images.shape[:2], ray_jacobian.shape[2], rows, columns)
     by_pose = ray_jacobian.contiguous().numpy()
@@ -67,12 +67,12 @@ def _fill(data, rays, ray_jacobian, grid, images, jacobian, method):
 
 
 def _empty(*shape: int) -> Tensor:
-    """By numpy, which asks for large pages where torch does not: touching small ones can take longer than rendering."""
+    """Empty array in numpy's large pages: touching torch's small pages can take longer than rendering."""
     return torch.from_numpy(np.empty(shape, np.float32))
 
 
 def _voxels(data: Tensor) -> np.ndarray:
-    """[c, d, h, w], whatever lies in memory how."""
+    """Data as [c, d, h, w], of any layout in memory."""
     return data.detach().reshape(-1, *data.shape[-3:]).contiguous().numpy()
 
 
@@ -109,7 +109,7 @@ def pull_back_data(
     image_gradients: Float[Tensor, "b classes rows columns"],
     method: str,
 ) -> Float[Tensor, "*c d h w"]:
-    """Derivative by the voxels of the same sum: the adjoint of projection."""
+    """Derivative by the voxels of the sum of ``image_gradients`` times images: the adjoint of projection."""
     twelve, six, weights = (
         rays.detach().contiguous().numpy(),
         grid.flatten().numpy(),

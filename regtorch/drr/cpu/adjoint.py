@@ -1,4 +1,4 @@
-"""The adjoint of Joseph's method: the weight of every voxel in weighted images."""
+"""The adjoint of Joseph's method: the sum of every voxel's weights in images."""
 
 import math
 from typing import no_type_check
@@ -10,7 +10,7 @@ from numba import njit, prange
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def joseph_adjoint(spacing, rays, weights, adjoints):
-    """Into ``adjoints`` [n, c, d, h, w], to be summed over n, for ``weights`` [b, c, h, w] of the images' pixels."""
+    """Adjoint of the pixels' ``weights`` [b, c, h, w], into ``adjoints`` [n, c, d, h, w], to be summed over n."""
     poses, _, rows, columns = weights.shape
     shares = adjoints.shape[0]
     for share in prange(shares):

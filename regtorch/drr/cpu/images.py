@@ -1,7 +1,7 @@
-"""Whole batches of images, their jacobians and the products with these, spread over threads.
+"""Whole batches of images, their Jacobians and the products with these, spread over threads.
 
-Work is handed out tile by tile and, within a tile, pose by pose: similar poses read the same part of the volume, which
-then stays in the cache. Every sum is made in an order that does not depend on the number of threads.
+Threads work tile by tile and, within a tile, pose by pose. Similar poses read the same part of the volume, which then
+stays in the cache. The order of every sum is independent of the number of threads.
 """
 
 from typing import no_type_check
@@ -18,7 +18,10 @@ from regtorch.drr.cpu.trilinear import trilinear
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def joseph_images(groups, tables, sizes, spacing, rays, ray_jacobian, images, jacobian, threads):
-    """Into ``images`` [b, c, h, w] and, unless None, ``jacobian`` [b, c, p, h, w] by ``ray_jacobian`` [b, 12, p]."""
+    """Images into ``images`` [b, c, h, w], their derivatives into ``jacobian`` [b, c, p, h, w] unless it is None.
+
+    ``ray_jacobian`` is [b, 12, p].
+    """
     for thread in prange(threads):
         _joseph_share(thread, threads, (groups, tables, sizes), spacing, rays, ray_jacobian, images, jacobian)
 
@@ -43,7 +46,7 @@ def _joseph_share(thread, threads, stacks, spacing, rays, ray_jacobian, images, 
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def joseph_pull_back(groups, tables, sizes, spacing, rays, weights, partial, threads):
-    """Into ``partial`` [b, tiles, 12]: each tile's ``weights`` [b, c, h, w] times derivatives by the rays, summed."""
+    """Sums over tiles of ``weights`` [b, c, h, w] times derivatives by the rays, into ``partial`` [b, tiles, 12]."""
     poses, channels, rows, columns = weights.shape
     strips = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
     tiles = strips * ((rows + TILE_ROWS - 1) // TILE_ROWS)
@@ -80,7 +83,7 @@ def _walk(exact, data, spacing, ray, row, column, value, slopes, adjoint, weight
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def ray_images(exact, data, spacing, rays, ray_jacobian, images, jacobian, threads):
-    """As ``joseph_images``, ray by ray: Siddon's method if ``exact``, else trilinear samples."""
+    """``joseph_images`` by other methods, ray by ray: Siddon's method if ``exact``, else trilinear samples."""
     for thread in prange(threads):
         _ray_share(thread, threads, exact, data, spacing, rays, ray_jacobian, images, jacobian)
 
@@ -116,7 +119,7 @@ def _by_rays(slopes, row, column, rays):
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def ray_pull_back(exact, data, spacing, rays, weights, partial, threads):
-    """As ``joseph_pull_back``, into ``partial`` [b, rows, 12]."""
+    """``joseph_pull_back`` by other methods, into ``partial`` [b, rows, 12]."""
     poses, channels, rows, columns = weights.shape
     for thread in prange(threads):
         value, slopes = np.empty(channels), np.empty((channels, 6))
@@ -138,7 +141,7 @@ def ray_pull_back(exact, data, spacing, rays, weights, partial, threads):
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def ray_adjoint(exact, data, spacing, rays, weights, adjoints):
-    """Into ``adjoints`` [n, c, d, h, w], to be summed over n: the weight of every voxel in images times ``weights``."""
+    """Adjoint of ``weights``, into ``adjoints`` [n, c, d, h, w], to be summed over n."""
     poses, channels, rows, columns = weights.shape
     shares = adjoints.shape[0]
     for share in prange(shares):

@@ -1,15 +1,18 @@
-"""Joseph's method (Joseph 1982) over tiles of pixels: values, and their derivatives by a ray's ends.
+"""Joseph's method (Joseph 1982) over tiles of pixels: values, and their derivatives by the ends of rays.
 
 A tile's rays are followed together, slice by slice across their main axis m. The whole tile lies between its four
-corner rays. Four reads of a summed-area table of "anything here" tell whether a slice can be skipped. Three loops do
-the rest; the first and the last become vector instructions: positions and offsets; reads, one group of four voxels
-each; sums.
+corner rays. So four reads of a summed-area table of occupied blocks tell whether a slice can be skipped. Other slices
+take three loops: positions and offsets; reads, one group of four voxels each; sums. The compiler vectorises the first
+and the last.
 
-On slice k a ray is at (a0 + k da, b0 + k db). Its integral is L T, T = sum of f over slices, L the length per slice.
-Let f_a and f_b be the derivatives of a bilinear value. The sums of f_a, f_b, (k - S_m) f_a and (k - S_m) f_b give the
-derivative by source S and pixel P: take da = (P_a - S_a) / D, D = P_m - S_m, and a0 = S_a - S_m da. Then
-d a(k) = dS_a - da dS_m + (k - S_m) d da and d da = (dP_a - dS_a - da (dP_m - dS_m)) / D. For precision the moments
-are taken about the middle of the volume and moved to the source at the end.
+On slice k a ray is at (a0 + k da, b0 + k db). Its integral is L T, with the length L per slice and the sum T of f over
+slices. Let f_a, f_b be the derivatives of a bilinear value. The derivative by source S and pixel P follows from four
+sums, of f_a, f_b, (k - S_m) f_a and (k - S_m) f_b. With D = P_m - S_m,
+
+    da = (P_a - S_a) / D            d a(k) = dS_a - da dS_m + (k - S_m) d da
+    a0 = S_a - S_m da               d da = (dP_a - dS_a - da (dP_m - dS_m)) / D.
+
+For precision the moments are taken about the middle of the volume and moved to the source at the end.
 """
 
 import math
@@ -59,8 +62,8 @@ _LOW_A, _HIGH_A, _LOW_B, _HIGH_B, _INSIDE = (SLICES * i for i in range(5))
 def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
     """``rows`` rows of a tile, or one pixel if 0, along one main axis.
 
-    Values of channel c go into the scratch at TOTAL + c N. Derivatives by source and pixel, along ``in_plane(main)``
-    and ``main``, go into ``slopes`` at c PER_CHANNEL + SOURCE_A ... PIXEL_M, unless that is None.
+    The value of channel c goes into the scratch at TOTAL + c N. Derivatives by source and pixel, along
+    ``in_plane(main)`` and ``main``, go into ``slopes`` at c PER_CHANNEL + SOURCE_A ... PIXEL_M, unless it is None.
     """
     s, offset, groups, four, boxes = room
     all_groups, all_tables, sizes = stacks
@@ -152,7 +155,7 @@ def in_plane(main):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _ends(ray, im, row0, column0, count, s):
-    """On which slice rays' pixels lie."""
+    """The slice on which rays' pixels lie."""
     end = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im]
     for q in range(count):
         s[END + q] = np.float32(end + COLUMN[q] * ray[6 + im] + ROW[q] * ray[9 + im])
@@ -161,7 +164,7 @@ def _ends(ray, im, row0, column0, count, s):
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 @no_type_check
 def _rays(ray, ia, ib, im, row0, column0, count, rays):
-    """Where rays are on slice 0, from its border, and per slice, in float32 or float64."""
+    """Rays' places on slice 0, from its border, and their steps per slice, in float32 or float64."""
     source_a, source_b, source_m = ray[ia], ray[ib], ray[im]
     along = ray[3 + im] + column0 * ray[6 + im] + row0 * ray[9 + im] - source_m
     across_a = ray[3 + ia] + column0 * ray[6 + ia] + row0 * ray[9 + ia] - source_a
@@ -178,7 +181,7 @@ def _rays(ray, ia, ib, im, row0, column0, count, rays):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _boxes(first, count, q1, q2, q3, a_end, b_end, most_a, most_b, s, boxes):
-    """Between which blocks of ``count`` slices from ``first`` on a tile's rays lie: the same where it holds none."""
+    """Blocks that bound a tile's rays on ``count`` slices from ``first`` on; equal bounds where there are none."""
     one = np.float32(1)
     a0, a1, a2, a3 = s[A0], s[A0 + q1], s[A0 + q2], s[A0 + q3]
     b0, b1, b2, b3 = s[B0], s[B0 + q1], s[B0 + q2], s[B0 + q3]
@@ -219,7 +222,7 @@ def _is_empty(table, boxes, i):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _locate(k, count, stride, a_end, b_end, inside, rays, s, offset):
-    """Cells and places in them on slice k, from rays in float32 or float64; at its border for a ray beyond it."""
+    """Cells on slice k, and places in them, of rays in float32 or float64; at the border for a ray beyond it."""
     if inside:
         for q in range(count):
             _place(rays[A0 + q] + k * rays[DA + q], rays[B0 + q] + k * rays[DB + q], q, stride, s, offset)
@@ -252,7 +255,7 @@ def _shares(k, source, count, s):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _sharpen(s, four, count, sharp_a, sharp_b):
-    """Groups of which bilinear interpolation has, where the ray is, the value and slopes of sharper voxels."""
+    """Groups of four values whose bilinear interpolation has the value and slopes of sharper voxels at the ray."""
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     for q in range(count):
         fa, fb = s[FA + q], s[FB + q]
@@ -297,7 +300,7 @@ def _add(s, slopes, four, c, q, share, from_middle):
 @njit(nogil=True)
 @no_type_check
 def _add_ends(s, slopes, four, c, k, source, count):
-    """The slice's share when a source or pixel inside it moves along the main axis."""
+    """Derivative along the main axis by a source or pixel that lies in the slice."""
     half, zero = np.float32(0.5), np.float32(0)
     for q in range(count):
         value = _value(s, four, q) if s[SHARE + q] > zero else zero
@@ -311,7 +314,7 @@ def _add_ends(s, slopes, four, c, k, source, count):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _lengthen(ia, ib, im, spacing, channels, count, s):
-    """Sums into integrals."""
+    """Integrals from sums."""
     size_a, size_b, size_m = np.float32(spacing[ia] ** 2), np.float32(spacing[ib] ** 2), np.float32(spacing[im] ** 2)
     for c in range(channels):
         for q in range(count):
@@ -322,7 +325,7 @@ def _lengthen(ia, ib, im, spacing, channels, count, s):
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 @no_type_check
 def _finish(ia, ib, im, spacing, source, middle, channels, count, s, slopes):
-    """Sums into integrals and derivatives."""
+    """Integrals and derivatives from sums."""
     one, zero = np.float32(1), np.float32(0)
     size_a, size_b = np.float32(spacing[ia] ** 2), np.float32(spacing[ib] ** 2)
     for c in range(channels):

@@ -1,4 +1,4 @@
-"""A thread's memory while it follows a tile's rays: how large tiles are, and where in the arrays things lie."""
+"""A thread's working arrays for the rays of a tile: sizes and offsets."""
 
 from typing import no_type_check
 
@@ -9,7 +9,7 @@ from numba.extending import overload
 TILE_ROWS, TILE_COLUMNS = 8, 16
 N = TILE_ROWS * TILE_COLUMNS
 
-# Places in a tile's float32 scratch, each N long: one array, so that the compiler sees that they do not overlap.
+# Offsets in a tile's float32 scratch, each N long. One array shows the compiler that they do not overlap.
 A0, DA, B0, DB, END, FA, FB, SHARE, DERIVATIVE, TOTAL = (N * i for i in range(10))
 TOTAL_A, TOTAL_B, MOMENT_A, MOMENT_B, AT_HIGH, AT_LOW = (N * i for i in range(6))
 SOURCE_A, SOURCE_B, SOURCE_M, PIXEL_A, PIXEL_B, PIXEL_M = (N * i for i in range(6))
@@ -19,7 +19,7 @@ SLICES = 64  # looked at together
 
 ROW, COLUMN = (place.astype(np.float64) for place in np.divmod(np.arange(N), TILE_COLUMNS))
 Y, X = ROW.astype(np.float32), COLUMN.astype(np.float32)
-"""Where pixel q of a tile lies. Loops run over q, for a compiler has use for long loops only."""
+"""Row and column of pixel q of a tile. Loops run over q, since compilers vectorise long loops only."""
 
 
 @njit(nogil=True)
@@ -33,7 +33,7 @@ def scratch(channels):
 def slope_scratch(channels, jacobian):
     """Room for derivatives and for rays in float64, or None where ``jacobian`` is None.
 
-    A bilinear value has a kink at every voxel: in float32 a ray near one may take its derivative from the wrong side.
+    A bilinear value has a kink at every voxel. In float32 a ray near a kink may take the derivative of the wrong side.
     """
 
 

@@ -12,11 +12,11 @@ from numba import njit
 def siddon(data, spacing, ray, row, column, value, slopes, adjoint, weight):
     """One ray through ``data`` [c, d, h, w]: its integrals into ``value`` [c].
 
-    Unless None: their derivatives by source and pixel (i, j, k each) go into ``slopes`` [c, 6]. ``weight`` [c] times
-    each voxel's length is added to ``adjoint`` [c, d, h, w].
+    Derivatives by source and pixel (i, j, k each) go into ``slopes`` [c, 6], unless it is None. ``weight`` [c] times
+    each voxel's length is added to ``adjoint`` [c, d, h, w], unless it is None.
 
     A face of axis x is crossed at t = (face - S_x) / d_x, so dt = ((t - 1) dS_x - t dP_x) / d_x. The integral changes
-    by (value before it - value behind it) dt.
+    by dt times the difference of the voxels before and behind the face.
     """
     size = (data.shape[3], data.shape[2], data.shape[1])
     d = (
@@ -103,7 +103,7 @@ def siddon(data, spacing, ray, row, column, value, slopes, adjoint, weight):
 @njit(nogil=True, error_model="numpy", inline="always")
 @no_type_check
 def _begin(source, d, enter, size):
-    """Along one axis: the voxel in which a ray enters, which way it goes on, and 1 / d."""
+    """Along one axis: a ray's first voxel, its direction, and 1 / d."""
     at = min(max(math.floor(source + enter * d + 0.5), 0), size - 1)
     return at, 1 if d > 0 else -1, 1 / d if d != 0 else np.inf
 
@@ -111,14 +111,14 @@ def _begin(source, d, enter, size):
 @njit(nogil=True, error_model="numpy", inline="always")
 @no_type_check
 def _due(at, step, source, inverse):
-    """Where on the ray, 0 at the source and 1 at the pixel, the next face across this axis is; infinity for none."""
+    """Place of the next face across this axis, 0 at the source and 1 at the pixel; infinity for none."""
     return (at + 0.5 * step - source) * inverse if inverse != np.inf else np.inf
 
 
 @njit(nogil=True, error_model="numpy")
 @no_type_check
 def _cross(slopes, data, at, axis, t, d, sign):
-    """A crossing at ``t`` that ends (sign 1) or begins (-1) the way through the voxel at (i, j, k)."""
+    """Derivatives by a crossing at ``t`` that ends (sign 1) or begins (-1) the way through the voxel at (i, j, k)."""
     for c in range(data.shape[0]):
         change = sign * data[c, at[2], at[1], at[0]] / d[axis]
         slopes[c, axis] += change * (t - 1)

@@ -1,4 +1,4 @@
-"""The volume as Joseph's method reads it: slices across a main axis, four neighbours in one read, empty parts known."""
+"""The volume prepared for Joseph's method: slices across a main axis, four neighbours in one read, empty blocks."""
 
 from typing import no_type_check
 
@@ -8,13 +8,13 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 BLOCK = 4
-"""Side of the blocks of cells in the table of occupied cells."""
+"""Side of the blocks of cells in the tables of occupied blocks."""
 
 BORDER = 2
-"""Voxels of air around a slice: a read outside has neither value nor slope."""
+"""Voxels of air around a slice: samples of a ray outside have neither value nor slope."""
 
 _SLICES_AT_ONCE = 16
-"""Neighbours along the axis that is contiguous in memory come in one cache line."""
+"""Slices handled together: for any main axis, neighbours along the contiguous axis share a line of the cache."""
 
 _prepared = WeakTensorKeyDictionary()
 
@@ -22,11 +22,14 @@ Slices = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def slices_across(data: Tensor, axis: int) -> Slices:
-    """``data`` [d, h, w] or [c, d, h, w] across axis i, j or k (0, 1, 2), kept as long as the tensor lives unchanged.
+    """``data`` ``[d, h, w]`` or ``[c, d, h, w]`` across axis i, j or k (0, 1, 2), kept while the tensor is unchanged.
 
-    First, groups [c, n, cells]: a complex number of 16 bytes holds the four voxels (b, a), (b + 1, a), (b, a + 1),
-    (b + 1, a + 1) of a slice with a border of air. Second, summed-area tables over blocks of cells between four voxels,
-    1 where any of these is not zero. Third, the size of a slice with its border: along a, along b.
+    Returns, in this order:
+
+    - groups ``[c, n, cells]``: a complex number of 16 bytes holds four voxels of a slice with a border of air, in the
+      order ``(b, a), (b + 1, a), (b, a + 1), (b + 1, a + 1)``;
+    - summed-area tables over blocks of cells, 1 where any voxel of the block's cells is not zero;
+    - the size of a slice with its border, along a and along b.
     """
     version, kept = _prepared.get(data, (None, {}))
     if data.is_inference():  # torch does not count the changes of such a tensor
@@ -53,10 +56,10 @@ def _stacked(across: np.ndarray) -> Slices:
 @njit(parallel=True, nogil=True, cache=True)
 @no_type_check
 def _interleave(across, pairs, blocks):
-    """Each slice with its border of air, interleaved with its next row; and where blocks of cells hold any.
+    """Each slice with its border of air, interleaved with its next row; and the occupied blocks of cells.
 
-    A cell lies between four voxels. It belongs to a block one row and one column further on in ``blocks``: summed-area
-    tables begin with a row and a column of zeros.
+    A cell lies between four voxels. ``blocks`` are shifted by one row and one column, so that they become summed-area
+    tables with a first row and column of zeros.
     """
     c, n, h, w = across.shape
     for chunk in prange((n + _SLICES_AT_ONCE - 1) // _SLICES_AT_ONCE):
@@ -76,10 +79,10 @@ def _interleave(across, pairs, blocks):
 
 
 def prepared(data: Tensor, rays: np.ndarray, rows: int, columns: int) -> tuple[tuple, tuple, tuple]:
-    """Groups, tables and sizes for axes i, j, k as far as these rays follow them."""
+    """Groups, tables and sizes for those axes i, j, k that are the main axis of a ray."""
     source, first, column_step, row_step = rays.reshape(-1, 4, 3).transpose(1, 0, 2)
     corners = [first + c * column_step + r * row_step - source for r in (0, rows - 1) for c in (0, columns - 1)]
-    directions = np.stack(corners)  # they enclose all others
+    directions = np.stack(corners)  # corner rays enclose all others
     main = np.abs(directions).argmax(axis=2)
     signed = np.where(np.take_along_axis(directions, main[..., None], axis=2)[..., 0] > 0, main, main - 3)
     needed = set(main[0].tolist()) if (signed == signed[0]).all() else range(3)

@@ -1,4 +1,4 @@
-"""One tile of an image and of its jacobian by Joseph's method, whatever axes its rays run along."""
+"""One tile of an image and of its Jacobian by Joseph's method, for rays along any axes."""
 
 from typing import no_type_check
 
@@ -28,7 +28,7 @@ _MIXED = -1
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 @no_type_check
 def paint(stacks, spacing, ray, ray_jacobian, place, room, slopes, image, jacobian, top, left):
-    """One tile of an image [c, h, w] whose first pixel is (top, left) and, unless None, of its jacobian [c, p, h, w].
+    """One tile of an image [c, h, w] with first pixel (top, left), and of its Jacobian [c, p, h, w] unless it is None.
 
     ``place`` is the tile's first row, last row + 1, first column, last column + 1.
     """
@@ -64,7 +64,7 @@ def _main_axis(ray, row, column):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _put(main, ray_jacobian, row0, row1, column0, column1, s, slopes, image, jacobian, top, left):
-    """From the scratch into images; with P = F + column C + row R, d/dp = gS dS/dp + gP dP/dp."""
+    """Copy from the scratch into images. With P = F + column C + row R, d/dp = gS dS/dp + gP dP/dp."""
     ia, ib = in_plane(main)
     count = np.uint64((row1 - row0) * TILE_COLUMNS)
     for c in range(image.shape[0]):
@@ -106,6 +106,6 @@ def _copy(s, first, row0, row1, column0, column1, image):
 @njit(nogil=True, inline="always")
 @no_type_check
 def _pixel(by_p, axis, row, column):
-    """How the pixel (row, column) moves along an axis, how much more the next in its row does, and in its column."""
+    """Motion of the pixel (row, column) along an axis, and the increments to the next pixel in its row and column."""
     across, down = by_p[6 + axis], by_p[9 + axis]
     return np.float32(by_p[3 + axis] + column * across + row * down), np.float32(across), np.float32(down)

@@ -1,4 +1,4 @@
-"""Trilinear samples at equal steps of at most half a voxel along the part of a ray that can feel the volume."""
+"""Trilinear samples at equal steps of at most half a voxel, where a ray is within a voxel of the volume."""
 
 import math
 from typing import no_type_check
@@ -10,7 +10,7 @@ from numba import njit
 @njit(nogil=True, error_model="numpy")
 @no_type_check
 def trilinear(data, spacing, ray, row, column, value, slopes, adjoint, weight):
-    """One ray, with the arguments of ``siddon``; samples where the reference takes them, in float64.
+    """One ray, with the arguments of ``siddon`` and the samples of the reference, in float64.
 
     With t = enter + (leave - enter) u a sample at u moves by (1 - t) dS + t dP + d ((1 - u) d enter + u d leave).
     """

@@ -1,11 +1,11 @@
 """Projectors on a GPU, each pixel's line integral and its derivatives in one pass: the torch side.
 
-``kernels.py`` holds the kernels on the device: Triton, for any GPU that Triton knows, and for none at all with
-``TRITON_INTERPRET=1``. Nothing here waits for the device or reads a number from it. So a function can be captured in a
-CUDA graph, after one call that compiles it; every call gives the same bits.
+``kernels.py`` runs on the device by Triton, or without a GPU with ``TRITON_INTERPRET=1``. Nothing here waits for the
+device or reads a number from it. So calls can be captured in a CUDA graph, after a first call that compiles. Every call
+gives the same bits.
 
-Shared arguments: ``data`` in float32 with axes k, j, i, and one of classes before them or none; ``rays`` of
-``cone_beam_rays`` and ``grid`` of the volume in float64; ``method`` "joseph", "siddon" or "trilinear".
+Shared arguments: ``data`` in float32 with axes k, j, i, after one of classes or none. ``rays`` of ``cone_beam_rays``
+and ``grid`` of the volume, both in float64. ``method`` "joseph", "siddon" or "trilinear".
 """
 
 import math
@@ -21,7 +21,7 @@ _TILE_ROWS, _TILE_COLUMNS = 8, 16
 
 
 def why_not(data: Tensor, method: str) -> str:
-    """The reason why this backend cannot render; empty when nothing does."""
+    """The reason why this backend cannot render; empty if it can."""
     if method not in _METHODS:
         return f"method {method!r}, expected one of {', '.join(map(repr, _METHODS))}"
     if data.dtype != torch.float32:
@@ -58,7 +58,7 @@ def project_with_jacobian(
     columns: int,
     method: str,
 ) -> tuple[Float[Tensor, "b classes rows columns"], Float[Tensor, "b classes p rows columns"]]:
-    """Line integrals and their derivatives by p parameters, given how the rays move with these."""
+    """Line integrals and their derivatives by p parameters, with ``ray_jacobian`` = d rays / d parameters."""
     parameters = ray_jacobian.shape[-1]
     images = data.new_empty(len(rays), data.shape[:-3].numel(), rows, columns)
     jacobian = data.new_empty(*images.shape[:2], parameters, rows, columns)
@@ -74,9 +74,9 @@ def pull_back_rays(
     image_gradients: Float[Tensor, "b classes rows columns"],
     method: str,
 ) -> Float[Tensor, "b 12"]:
-    """The derivative by the rays of a scalar whose derivative by the images is given: float64.
+    """Derivative by the rays (float64) of a scalar whose derivative by the images is given.
 
-    Each tile of pixels leaves its own sum, and these are added in the order of the tiles.
+    Each tile of pixels makes its own sum. These are added in the order of the tiles.
     """
     sums = rays.new_zeros(len(rays), _tiles(image_gradients), 12)
     _launch("pull_back_rays", (data, rays, grid, image_gradients.to(data), sums), data, image_gradients, method)
@@ -90,10 +90,10 @@ def pull_back_data(
     image_gradients: Float[Tensor, "b classes rows columns"],
     method: str,
 ) -> Float[Tensor, "*c d h w"]:
-    """The derivative by the volume of a scalar whose derivative by the images is given: the adjoint of ``project``.
+    """Adjoint of ``project``: derivative by the volume of a scalar whose derivative by the images is given.
 
-    Many rays add to one voxel, in an order that is not fixed. Their summands are therefore whole numbers of 64 bits,
-    whose sum has no order; the unit is the smallest for which no voxel can overflow.
+    Many rays add to one voxel, in any order. They add whole numbers of 64 bits, whose sum does not depend on the order.
+    The unit is the smallest for which no voxel can overflow.
     """
     # A ray crosses a voxel, or one of trilinear's tents two voxels wide, on less than twice the voxel's diagonal.
     most = 4 * grid[0].norm() * image_gradients.abs().sum(dtype=torch.float64)
@@ -105,13 +105,13 @@ def pull_back_data(
 
 
 def _tiles(images: Tensor) -> int:
-    """How many tiles an image has."""
+    """Number of tiles of an image."""
     rows, columns = images.shape[-2:]
     return -(-rows // _TILE_ROWS) * -(-columns // _TILE_COLUMNS)
 
 
 def _launch(kernel: str, tensors: tuple[Tensor, ...], data: Tensor, images: Tensor, method: str, *more: int) -> None:
-    """One program for each tile of each pose."""
+    """Start one program for each tile of each pose."""
     from regtorch.drr.triton import kernels
 
     d, h, w = data.shape[-3:]
@@ -119,7 +119,7 @@ def _launch(kernel: str, tensors: tuple[Tensor, ...], data: Tensor, images: Tens
     programs = len(images) * _tiles(images)
     if not programs or not channels:
         return
-    steps = 2 * int(math.hypot(*(n + 1 for n in (d, h, w)))) + 2  # as the reference's trilinear has
+    steps = 2 * int(math.hypot(*(n + 1 for n in (d, h, w)))) + 2  # those of the reference
     with torch.cuda.device_of(data):
         getattr(kernels, kernel)[(programs,)](
             *(t.detach().to(data.device).contiguous() for t in tensors), w, h, d, *images.shape[-2:], steps, *more,

@@ -1,4 +1,4 @@
-"""Where rays enter and leave a box, in float64."""
+"""Entry and exit of rays through a box, in float64."""
 
 from typing import no_type_check
 
@@ -9,9 +9,9 @@ import triton.language as tl
 @triton.jit
 @no_type_check
 def cross_box(si, sj, sk, di, dj, dk, lower, upper_i, upper_j, upper_k):
-    """The t in [0, 1] where s + t d enters and leaves a box, and the axis of either face.
+    """The span of t in [0, 1] with s + t d in a box, and the axes of the faces of entry and exit.
 
-    The axis is -1 where the ray starts or ends inside. Where a ray misses the box both t are the same.
+    The axis is -1 for a ray that starts or ends inside. Both t are equal for a ray that misses the box.
     """
     in_i, out_i, hit_i = _cross_slab(si, di, lower, upper_i)
     in_j, out_j, hit_j = _cross_slab(sj, dj, lower, upper_j)

@@ -1,4 +1,4 @@
-"""Joseph's method on a GPU: one bilinear reading on each slice of the main axis, for a block of pixels at once."""
+"""Joseph's method on a GPU: one bilinear sample on each slice of the main axis, for a block of pixels at once."""
 
 from typing import no_type_check
 
@@ -13,11 +13,11 @@ def joseph(
     sharp_i, sharp_j, sharp_k, w, h, d,
     MODE: tl.constexpr,
 ):  # fmt: skip
-    """Per channel and pixel: the line integral, and its derivative by source and pixel where ``MODE`` is "gradient".
+    """Per channel and pixel: the line integral, and its derivative by source and pixel if ``MODE`` is "gradient".
 
-    Every pixel has its own main axis m and in-plane axes a, b. Where a ray is in a slice is kept as a whole number of
-    2^-32 voxels and moved by adding: as cheap as float32, and exact far from the origin, so that no ray reads the cell
-    beside its own. Where ``MODE`` is "scatter", ``upstream`` is added to ``volume`` where "value" reads it.
+    Every pixel has its own main axis m and in-plane axes a, b. A ray's place in a slice is a whole number of 2^-32
+    voxels and moves by addition. This is as cheap as float32 and exact far from the origin, so that no ray reads a
+    neighbouring cell. If ``MODE`` is "scatter", ``upstream`` is added to ``volume`` where "value" reads it.
     """
     di, dj, dk = pi - si, pj - sj, pk - sk
     other = tl.maximum(tl.abs(di), tl.abs(dj))
@@ -137,7 +137,7 @@ def joseph(
 @triton.jit
 @no_type_check
 def _within(first, last, middle, at_middle, slope, n):
-    """The slices where a ray is between -1 and n of an in-plane axis; a hundredth wider, for float32 rounds."""
+    """Slices where a ray is between -1 and n of an in-plane axis; a hundredth wider, as float32 rounds."""
     slope = tl.where(tl.abs(slope) < 1e-20, 1e-20, slope)
     one = (-1.01 - at_middle) / slope + middle
     other = (n + 0.01 - at_middle) / slope + middle

@@ -1,4 +1,4 @@
-"""The kernels themselves: a program is a tile of pixels of one pose, with every channel.
+"""Triton kernels. A program is a tile of pixels of one pose, with every channel.
 
 Tiles are numbered along one axis of the grid, pose after pose. All setup is in float64, all sums are in float32.
 """
@@ -90,7 +90,7 @@ def pull_back_data(
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
-    """``image_gradients`` added to the whole numbers ``total`` where ``project`` reads the volume."""
+    """Add ``image_gradients`` to the whole numbers ``total`` where ``project`` reads the volume."""
     pose, _, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     at = ((pose * CHANNELS + channel) * rows + row[None, :]) * columns + column[None, :]
     upstream = tl.load(image_gradients + at, mask=channels & pixels[None, :], other=0.0)
@@ -102,7 +102,7 @@ def pull_back_data(
 def _tile(
     rows, columns, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr, TILE_COLUMNS: tl.constexpr
 ):
-    """Of this program: its pose, its own number, its pixels' rows and columns, the channels, and which there are."""
+    """This program's pose, number, rows and columns of pixels, channels, and masks of both."""
     tile = tl.program_id(0)
     across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
     tiles = across * ((rows + TILE_ROWS - 1) // TILE_ROWS)
@@ -146,7 +146,7 @@ def _line(
 @triton.jit
 @no_type_check
 def _motion(twelve, row, column, parameters):
-    """How the pixels move with one parameter, of which ``twelve`` is the first of the column of the ray Jacobian."""
+    """Motion of the pixels with one parameter; ``twelve`` points to its column in the ray Jacobian."""
     i = _number(twelve + 3 * parameters) + column * _number(twelve + 6 * parameters)
     j = _number(twelve + 4 * parameters) + column * _number(twelve + 7 * parameters)
     k = _number(twelve + 5 * parameters) + column * _number(twelve + 8 * parameters)
@@ -165,5 +165,5 @@ def _number(at):
 @triton.jit
 @no_type_check
 def _sum(values, factor):
-    """Over channels and pixels, in float64 and always in the same order."""
+    """Sum over channels and pixels, in float64 and always in the same order."""
     return tl.sum(tl.sum(values.to(tl.float64) * factor.to(tl.float64)[None, :], 1), 0)

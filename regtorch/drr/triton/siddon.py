@@ -14,7 +14,7 @@ def siddon(
     volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, spacing_i, spacing_j, spacing_k, w, h, d,
     MODE: tl.constexpr,
 ):  # fmt: skip
-    """As ``joseph``. A face crossed at t moves by (t - 1) / d with the source and by -t / d with the pixel."""
+    """As ``joseph``. A crossing at t moves by (t - 1) / d with the source and by -t / d with the pixel."""
     di, dj, dk = pi - si, pj - sj, pk - sk
     enter, leave, came_by, _ = cross_box(si, sj, sk, di, dj, dk, -0.5, w - 0.5, h - 0.5, d - 0.5)
     active = pixels & (enter < leave)
@@ -74,7 +74,7 @@ def siddon(
 @triton.jit
 @no_type_check
 def _begin(source, direction, enter, leave, n):
-    """Of one axis: the first voxel, the way, the t where it ends, and how many more there are."""
+    """Along one axis: the first voxel, the direction, the t of its exit, and the number of further voxels."""
     first = tl.floor(source + enter * direction + 0.5)
     last = tl.floor(source + leave * direction + 0.5)
     first = tl.minimum(tl.maximum(first, 0.0), n - 1.0).to(tl.int32)
@@ -86,7 +86,7 @@ def _begin(source, direction, enter, leave, n):
 @triton.jit
 @no_type_check
 def _due(source, direction, index, step):
-    """The t where a ray leaves a voxel by this axis; beyond every ray where it never does."""
+    """The t where a ray leaves a voxel by this axis; 2, beyond every ray, if it never does."""
     flat = direction == 0
     face = index.to(tl.float64) + 0.5 * step.to(tl.float64)
     return tl.where(flat, 2.0, (face - source) / tl.where(flat, 1.0, direction))
@@ -95,7 +95,7 @@ def _due(source, direction, index, step):
 @triton.jit
 @no_type_check
 def _faces(came_by, goes_by, t0, t1, AXIS: tl.constexpr):
-    """The weight of a voxel of value one among the faces of one axis, and the same times t."""
+    """Derivative of a voxel's length by the faces of one axis, and the same times t."""
     came, goes = tl.where(came_by == AXIS, 1.0, 0.0), tl.where(goes_by == AXIS, 1.0, 0.0)
     return (goes - came)[None, :], (goes * t1 - came * t0)[None, :]
 

@@ -14,7 +14,7 @@ def trilinear(
     volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, spacing_i, spacing_j, spacing_k, w, h, d, steps,
     MODE: tl.constexpr,
 ):  # fmt: skip
-    """As ``joseph``; positions are whole numbers of 2^-32 voxels as there.
+    """As ``joseph``, with the same whole numbers of 2^-32 voxels for positions.
 
     Sample n is at t = enter + (leave - enter) (n + 1/2) / steps, so the samples move with both ends of the span.
     """
@@ -98,7 +98,7 @@ def trilinear(
 @triton.jit
 @no_type_check
 def _walk(source, direction, enter, step):
-    """Of one axis: where the first sample is, and the way to the next."""
+    """Along one axis: place of the first sample, and step to the next."""
     start = source + (enter + 0.5 * step) * direction
     return (start * 4294967296.0).to(tl.int64), (step * direction * 4294967296.0).to(tl.int64)
 
@@ -106,7 +106,7 @@ def _walk(source, direction, enter, step):
 @triton.jit
 @no_type_check
 def _ends(sum_x, turn_x, direction, weight, start, end, enters, leaves, by_enter, by_leave):
-    """The derivatives by source and pixel along one axis, the length left alone; a face at t moves as Siddon's do."""
+    """The derivatives by source and pixel along one axis at constant length; faces move as in ``siddon``."""
     one_over = (1.0 / tl.where(direction == 0, 1.0, direction)).to(tl.float32)
     by_enter = by_enter * tl.where(enters, one_over, 0.0)[None, :]
     by_leave = by_leave * tl.where(leaves, one_over, 0.0)[None, :]

@@ -1,4 +1,4 @@
-"""The sums behind gradient correlation on a GPU, in one pass over each image, its gradients never stored."""
+"""Sums for gradient correlation on a GPU, in one pass over each image, without storing gradients."""
 
 import os
 from importlib.util import find_spec
@@ -11,7 +11,7 @@ _BLOCK = 1024
 
 
 def can_sum(images: Tensor) -> bool:
-    """Whether ``gradient_gram`` can take these images: float32 on a GPU with Triton, no derivative wanted."""
+    """Whether ``gradient_gram`` supports these images: float32 on a GPU with Triton, without a derivative."""
     wanted = torch.is_grad_enabled() and images.requires_grad
     runs = images.is_cuda or os.environ.get("TRITON_INTERPRET") == "1"
     return runs and images.dtype == torch.float32 and not wanted and find_spec("triton") is not None
@@ -20,9 +20,9 @@ def can_sum(images: Tensor) -> bool:
 def gradient_gram(
     images: Float[Tensor, "n h w"], fixed: Float[Tensor, "2 h w"], root: Float[Tensor, "h w"]
 ) -> tuple[Float[Tensor, "n 2 1 3"], Float[Tensor, " n"]]:
-    """As ``similarity.cpu.gradient_gram``, on the images' device.
+    """``similarity.cpu.gradient_gram`` on the images' device.
 
-    Blocks of pixels are summed in float32 and the blocks in float64, always in the same order.
+    Blocks of pixels are summed in float32, the blocks in float64, always in the same order.
     """
     from regtorch.similarity.triton import kernels
 

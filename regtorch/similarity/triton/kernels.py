@@ -1,4 +1,4 @@
-"""Sobel's gradients of a block of pixels, and seven sums over it."""
+"""Sobel gradients of a block of pixels, and seven sums over the block."""
 
 from typing import no_type_check
 
@@ -9,7 +9,10 @@ import triton.language as tl
 @triton.jit(do_not_specialize=["rows", "columns"])
 @no_type_check
 def gradient_gram(images, fixed, root, parts, rows, columns, BLOCK: tl.constexpr):
-    """To ``parts``, seven per block: m f, m r and m m of the x-gradient m times r, the same of y, and the squares."""
+    """Seven sums per block into ``parts``: m f, m r and m m for x, the same for y, and the squared values.
+
+    m is the weighted gradient, f the fixed image's and r the root of the weight.
+    """
     pixels = rows * columns
     blocks = (pixels + BLOCK - 1) // BLOCK
     program = tl.program_id(0)
