@@ -20,7 +20,7 @@ def _docstrings(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def sentences(text: str) -> Iterator[str]:
-    """Sentences of prose. Code, brackets, indented formulas, tables and doctests are no prose; items of lists stand alone."""
+    """Sentences of prose, without brackets, code, formulas, tables and doctests; items of lists stand alone."""
     text = re.sub(r"``[^`]*``", "code", inspect.cleandoc(text))
     text = re.sub(r"\([^()]*\)|\[[^\[\]]*\]", "", text)
     for block in re.split(r"\n\s*\n|\n\s*[-*] |\n\s+\w+: ", text):

@@ -86,7 +86,7 @@ def _damped_step(
     factor: Float[Tensor, " n"],
     resting: Bool[Tensor, "n d"],
 ) -> tuple[Float[Tensor, "n d"], Float[Tensor, " n"]]:
-    """Levenberg's step of the parameters that do not rest, 0 where the equations cannot be solved; its foretold gain."""
+    """Levenberg's step of parameters that do not rest, 0 where equations cannot be solved; its foretold gain."""
     level = curvature.diagonal(dim1=1, dim2=2)
     damped = curvature + torch.diag_embed(
         factor[:, None] * (level + level.mean(1, keepdim=True)) + torch.finfo(slope.dtype).tiny
