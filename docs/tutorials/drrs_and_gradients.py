@@ -69,4 +69,4 @@ for axes in panels[:3]:
     axes.set(xlabel="column (pixel)", ylabel="row (pixel)")
 panels[3].plot(history, color="#0072b2")
 panels[3].set(xlabel="step", ylabel="gradient correlation", title="ascent")
-figure.savefig("drrs_and_gradients.png", dpi=90)
+figure.savefig("drrs_and_gradients.png", dpi=80)

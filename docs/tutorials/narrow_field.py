@@ -7,6 +7,7 @@ landmark and a smaller range keep the search at the right level.
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
+import numpy as np
 import torch
 
 from regtorch import attenuation, evaluate, make_phantom, register, render, simulate
@@ -51,9 +52,9 @@ for name, result in results.items():
 bone = attenuation(ct, threshold_hu=100.0)
 figure, panels = plt.subplots(1, 2, figsize=(8, 4.2), layout="constrained")
 for axes, (name, result) in zip(panels, results.items(), strict=True):
-    edges = edge_strength(render(bone, result.parameters, detector, "PA")).numpy()
+    edges = edge_strength(render(bone, result.parameters, detector, "PA")).clamp(max=0.9).numpy()
     axes.imshow(simulation.image * (0.35 + 0.65 * field), cmap="gray")
-    axes.imshow(edges, cmap="Oranges_r", alpha=(edges > 0.25) * 0.8, vmin=0, vmax=1)
+    axes.imshow(np.dstack([np.broadcast_to((1.0, 0.6, 0.1), (*edges.shape, 3)), edges]))
     here = project(result.pixel_from_patient, torch.tensor([vertebrae["L2"]]).double())[0]
     axes.plot(column, row, "+", color="#56b4e9", markersize=16, markeredgewidth=2.5, label="L2, true")
     axes.plot(*here.tolist(), "x", color="#e69f00", markersize=11, markeredgewidth=2.5, label="L2, found")
