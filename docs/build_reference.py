@@ -1,0 +1,92 @@
+"""Makes the reference pages that repeat the code: the command line and the settings of the search.
+
+    python docs/build_reference.py
+"""
+
+import os
+import re
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs" / "reference"
+REGTORCH = ("", "demo", "simulate", "register", "evaluate")
+
+
+def studies() -> list[str]:
+    """Names of the commands of the studies."""
+    folder = ROOT / "experiments"
+    names = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__main__.py")}
+    return sorted(names - {"__init__"})
+
+
+def help_of(command: str) -> str:
+    """The text of ``--help``, 100 columns wide; ``command`` as the page shows it."""
+    module = command.replace("regtorch", "regtorch.cli", 1).replace("python -m ", "")
+    environment = {k: v for k, v in os.environ.items() if k != "REGTORCH_DATA"} | {"COLUMNS": "100"}
+    words = [sys.executable, "-m", *module.split(), "--help"]
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+    return "\n".join(line.rstrip() for line in done.stdout.strip().splitlines())
+
+
+def commands() -> list[str]:
+    return [f"regtorch {name}".strip() for name in REGTORCH] + [f"python -m experiments.{name}" for name in studies()]
+
+
+def command_line() -> str:
+    names = commands()
+    with ThreadPoolExecutor(2) as pool:
+        texts = list(pool.map(help_of, names))
+    parts = [
+        "# Command line",
+        "Each command tells its options on `--help`. This page repeats these texts. `regtorch` is installed with the "
+        "package. The studies run from a checkout of the repository.",
+    ]
+    for name, text in zip(names, texts, strict=True):
+        parts.append(f"## {name}\n\n```text\n{text}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def settings() -> str:
+    """A table for each group of ``Settings``, from the file that the studies read."""
+    import yaml
+
+    path = ROOT / "conf" / "registration" / "hybrid.yaml"
+    values = yaml.safe_load(path.read_text(encoding="utf-8"))["settings"]
+    source = (ROOT / "regtorch/registration/search/settings.py").read_text(encoding="utf-8")
+    sentences = dict(re.findall(r"^    (\w+): [^\n]*\n    \"\"\"(.*?)\"\"\"", source, re.MULTILINE | re.DOTALL))
+    parts = [
+        "# Settings of the search",
+        "The fields of `regtorch.registration.Settings`. The values are those of `conf/registration/hybrid.yaml`, which "
+        "`python -m experiments.settings` makes of the same class.\n\n"
+        "```python\nfrom functools import partial\n\nfrom regtorch.registration import Settings, hybrid, register\n\n"
+        "result = register(ct, radiograph, view, method=partial(hybrid, settings=Settings(poses=500)))\n```\n\n"
+        "In a study: `python -m experiments.search registration.settings.poses=500`.",
+    ]
+    for line in source.splitlines():
+        if heading := re.fullmatch(r"    # (\w[\w ]*)", line):
+            parts.append(f"## {heading[1]}\n\n| setting | default | meaning |\n|---|---|---|")
+        elif (field := re.match(r"    (\w+): ", line)) and field[1] in values and field[1] in sentences:
+            parts[-1] += f"\n| `{field[1]}` | {_value(values[field[1]])} | {' '.join(sentences[field[1]].split())} |"
+    return "\n\n".join(parts) + "\n"
+
+
+def _value(value: object) -> str:
+    if isinstance(value, list) and isinstance(value[0], dict):
+        return "; ".join(f"{v['pixels']}, {v['candidates']}, {v['steps']}" for v in value)
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    return {True: "on", False: "off"}[value] if isinstance(value, bool) else f"{value}"
+
+
+def main() -> None:
+    FOLDER.mkdir(exist_ok=True)
+    for name, text in (("command_line.md", command_line()), ("settings.md", settings())):
+        (FOLDER / name).write_text(text, encoding="utf-8")
+        print(f"wrote docs/reference/{name}")
+
+
+if __name__ == "__main__":
+    main()
