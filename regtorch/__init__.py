@@ -25,7 +25,6 @@ _HOME = {
     "render": "regtorch.drr",
     "render_with_jacobian": "regtorch.drr",
     "simulate": "regtorch.simulation",
-    "tissue_classes": "regtorch.imaging",
 }
 
 __all__ = ["__version__", *_HOME]

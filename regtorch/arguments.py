@@ -1,4 +1,4 @@
-"""What may be said on the command line. Bad usage ends in one line and exit code 2; nothing heavy is imported."""
+"""The options of the command line. Bad usage ends in one line and exit code 2; nothing heavy is imported."""
 
 import argparse
 import math
@@ -19,7 +19,7 @@ _TARGETS_HELP = "named points (CSV of name,x,y,z in LPS mm; .mrk.json or .fcsv o
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; argparse would print the usage as well."""
+    """Tells an error in one line; argparse would print the usage as well."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -32,7 +32,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _number(low: float | int, high: float | int, kind: type[float] | type[int] = float) -> Callable[[str], float | int]:
-    """What reads an option's value; argparse puts the option's name before what this has to say."""
+    """A reader of an option's value; argparse puts the option's name before the message."""
 
     def read(text: str) -> float | int:
         try:
@@ -63,7 +63,7 @@ _SIDE = _number(LEAST_PIXELS, MOST_PIXELS, int)
 
 
 def parser() -> argparse.ArgumentParser:
-    """For ``regtorch``: ``command`` names what was asked for, the rest are its options."""
+    """For ``regtorch``: ``command`` is the command's name, the rest are its options."""
     top = Parser(
         prog="regtorch",
         description="Registers one radiograph to one CT: where source, patient and detector stood, nine parameters.",
@@ -72,12 +72,19 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"regtorch {__version__}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
+    for add_command in (_add_demo, _add_simulate, _add_register, _add_evaluate):
+        add_command(commands)
+    return top
 
+
+def _add_demo(commands: Any) -> None:
     add = _command(commands, "demo", "simulate a radiograph of the embedded phantom and register it")
     add("--out", default="regtorch-demo", metavar="DIR", help="folder to write to (%(default)s)")
     add("--view", default="PA", choices=_VIEWS, metavar="VIEW", help=f"{_VIEW_HELP} (%(default)s)")
     _add_seed_and_threads(add)
 
+
+def _add_simulate(commands: Any) -> None:
     add = _command(commands, "simulate", "make a radiograph of a CT, and the truth about it")
     add("ct", metavar="CT", help=_CT_HELP)
     add("--view", required=True, choices=_VIEWS, metavar="VIEW", help=_VIEW_HELP)
@@ -93,6 +100,8 @@ def parser() -> argparse.ArgumentParser:
     add("--targets", metavar="FILE", help=f"{_TARGETS_HELP} for truth.json (default: points on the bones)")
     _add_seed_and_threads(add)
 
+
+def _add_register(commands: Any) -> None:
     add = _command(commands, "register", "find where source, patient and detector stood")
     add("ct", metavar="CT", help=_CT_HELP)
     add("radiograph", metavar="RADIOGRAPH", help="DICOM, or grey PNG or TIFF, best with 16 bits")
@@ -124,11 +133,12 @@ def parser() -> argparse.ArgumentParser:
     add("--device", default="cpu", metavar="NAME", help="where DRRs are made: cpu, or cuda, a GPU (%(default)s)")
     _add_seed_and_threads(add)
 
+
+def _add_evaluate(commands: Any) -> None:
     add = _command(commands, "evaluate", "compare a result with the truth")
     add("result", metavar="RESULT", help="result.json")
     add("truth", metavar="TRUTH", help="truth.json")
     add("--json", metavar="FILE", nargs="?", const="-", help="also write it to FILE; without FILE print it as JSON")
-    return top
 
 
 def _command(commands: Any, name: str, text: str) -> Callable[..., Any]:

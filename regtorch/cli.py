@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _interrupt(*_: object) -> None:
-    """What asks a program to end, as batch systems and ``timeout`` do, ends this one as Ctrl-C does."""
+    """SIGTERM, which batch systems and ``timeout`` send, ends the program as Ctrl-C does."""
     raise KeyboardInterrupt
 
 

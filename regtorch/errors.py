@@ -2,4 +2,4 @@
 
 
 class RegtorchError(ValueError):
-    """Bad input. The message is one line that names the file, the value and what was expected."""
+    """Bad input. The message is one line that names the file, the value and the expectation."""

@@ -40,7 +40,7 @@ def projection_distances(
 
 
 def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare the contents of a ``result.json`` with those of a ``truth.json``.
+    """Compare the contents of a ``result.json`` and of a ``truth.json``.
 
     Returns ``pde_mm`` (mean over the targets, in the detector plane; infinite where either puts one behind the source),
     ``target_error_mm`` (mean distance in space between where the two put a target, seen from the detector), ``targets``
@@ -73,7 +73,7 @@ def evaluate(result: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, A
 
 
 def read_json(path: str | Path, kind: Literal["result", "truth"]) -> dict[str, Any]:
-    """The contents of a ``result.json`` or ``truth.json``; ``RegtorchError`` says what is missing or malformed."""
+    """The contents of a ``result.json`` or ``truth.json``; ``RegtorchError`` names the missing or malformed entry."""
     try:
         content = json.loads(Path(path).read_text())
     except FileNotFoundError:

@@ -8,7 +8,7 @@ _STAMP = "kernels.sha256"
 
 
 def forget_stale_kernels() -> None:
-    """Remove what was compiled from files named ``cpu``, or in folders of that name, when they were not as they are."""
+    """Remove kernels compiled from files named ``cpu``, or in folders of that name, when their sources have changed."""
     package = Path(__file__).parent
     sources = sorted([*package.rglob("cpu.py"), *package.rglob("cpu/*.py")])
     now = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()

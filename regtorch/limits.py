@@ -1,4 +1,4 @@
-"""What is too small to be registered, what too large, and what cannot be."""
+"""Sizes and distances beyond which nothing is registered."""
 
 LEAST_PIXELS, MOST_PIXELS = 8, 10_000
 """A side of a radiograph: less shows nothing to register, more does not fit into memory."""

@@ -1,4 +1,4 @@
-"""What a command tells: a bar while it works, text for people and JSON for programs when it is done."""
+"""A command's output: a bar while it works, text for people and JSON for programs when it is done."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from regtorch.files import write_text
 
 @contextmanager
 def progress_bar(what: str = "") -> Iterator[Callable[[float, str], None]]:
-    """What to call with the share of the work that is done and what comes next; shown on stderr, on a terminal only."""
+    """A function of the share done and the next step's name; shown on stderr, on a terminal only."""
     from tqdm import tqdm
 
     def progress(share: float, what: str) -> None:

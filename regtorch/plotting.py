@@ -33,8 +33,8 @@ def write_overlay(
 ) -> None:
     """Save the radiograph as its file shows it, the edges of the bones where they were found, and named targets.
 
-    ``attenuating`` (1/mm) is what edges are drawn of; targets are in LPS mm. What did not count, masked or beyond
-    collimators, is dark.
+    ``attenuating`` (1/mm) gives the edges; targets are in LPS mm. Pixels that did not count, masked or beyond
+    collimators, are dark.
     """
     everywhere = torch.ones_like(radiograph.weight)
     shown, counted = (

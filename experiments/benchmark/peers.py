@@ -20,7 +20,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from regtorch.geometry import Detector, cone_beam_rays, world_from_ct
+from regtorch.geometry import Detector, cone_beam_rays
+from regtorch.geometry.conventions import to_camera, to_plastimatch, to_rtk
 from regtorch.imaging import Volume
 
 Images = Callable[[Float[Tensor, "b 9"]], Float[Tensor, "b h w"]]
@@ -45,12 +46,9 @@ def rtk(volume: Volume, detector: Detector, view: str, threads: int) -> Images:
 
     def images(poses: Tensor) -> Tensor:
         geometry = itk.RTK.ThreeDCircularProjectionGeometry.New()
-        for pose, place in zip(poses, _patient_from_world(volume, poses, view), strict=True):
+        for source, centre, columns, rows in zip(*to_rtk(poses, view, volume.origin_patient_mm), strict=True):
             geometry.AddProjection(
-                point((place[:3, :3] @ pose[:3] + place[:3, 3]).tolist()),
-                point(place[:3, 3].tolist()),
-                vector(place[:3, 0].tolist()),
-                vector((-place[:3, 1]).tolist()),
+                point(source.tolist()), point(centre.tolist()), vector(columns.tolist()), vector(rows.tolist())
             )
         stack = itk.image_from_array(np.zeros((len(poses), detector.rows, detector.columns), np.float32))
         stack.SetSpacing([detector.pixel_mm, detector.pixel_mm, 1])
@@ -139,16 +137,15 @@ def plastimatch(volume: Volume, detector: Detector, view: str, threads: int, *, 
 
     def images(poses: Tensor) -> Tensor:
         found, images.seconds = [], 0.0
-        for pose, place in zip(poses, _patient_from_world(volume, poses, view), strict=True):
-            distance, (x, y) = float(pose[2]), ((pose[:2] - pose.new_tensor(detector.centre_mm)) / detector.pixel_mm)
-            foot = place[:3, :3] @ (pose[:3] * pose.new_tensor([1, 1, 0])) + place[:3, 3]
+        for seen in zip(*to_plastimatch(poses, detector, view, volume.origin_patient_mm), strict=True):
+            normal, up, isocenter, distance, image_center = map(_words, seen)
             own = {
-                "--nrm": _words(place[:3, 2]),
-                "--vup": _words(place[:3, 1]),
-                "--isocenter": _words(foot),
-                "--sad": f"{distance:.9g}",
-                "--sid": f"{distance:.9g}",
-                "--image-center": f"{(detector.columns - 1) / 2 + x:.9g} {(detector.rows - 1) / 2 - y:.9g}",
+                "--nrm": normal,
+                "--vup": up,
+                "--isocenter": isocenter,
+                "--sad": distance,
+                "--sid": distance,
+                "--image-center": image_center,
             }
             options = [word for pair in (settings | own).items() for word in pair]
             command = [program, "drr", *options, f"{folder.name}/volume.mha"]
@@ -172,20 +169,11 @@ def _nanodrr(volume: Volume, detector: Detector, view: str, samples: int | None,
     own = [m.float() for m in (place, torch.linalg.inv(place), Subject._make_voxel_to_grid(data.shape).to(device))]
     subject = Subject(data, torch.zeros_like(data), *own, torch.zeros(3, device=device), 0, convert_to_mu=False)
     samples = samples or max(volume.data.shape)
-    turn = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
     def images(poses: Tensor) -> Tensor:
-        offset = poses[:, :2] - poses.new_tensor(detector.centre_mm)
-        middle = (
-            poses.new_tensor([detector.columns, detector.rows]) / 2
-            + offset * poses.new_tensor([1, -1]) / detector.pixel_mm
-        )
-        zero, step = torch.zeros_like(offset[:, 0]), detector.pixel_mm / poses[:, 2]
-        rows = [step, zero, -middle[:, 0] * step, zero, step, -middle[:, 1] * step, zero, zero, zero + 1]
-        to_source = torch.eye(4).to(poses).expand(len(poses), 4, 4).clone()
-        to_source[:, :3, 3] = poses[:, :3]
-        camera = _patient_from_world(volume, poses, view) @ to_source @ turn.to(poses)
-        rest = [part.float() for part in (torch.stack(rows, -1).unflatten(-1, (3, 3)), camera, poses[:, 2])]
+        camera = to_camera(poses, detector, view, volume.origin_patient_mm)
+        inverse = torch.linalg.inv(camera.pixel_from_camera)
+        rest = [part.float() for part in (inverse, camera.patient_from_camera, poses[:, 2])]
         return render(subject, *rest, detector.rows, detector.columns, samples, backend=backend)[:, 0]
 
     return images
@@ -224,11 +212,5 @@ def _gradient(render: Images, poses: Tensor, weight: Tensor, *, at_once: int) ->
     return torch.cat(found)
 
 
-def _patient_from_world(volume: Volume, poses: Tensor, view: str) -> Float[Tensor, "b 4 4"]:
-    patient_from_ct = torch.eye(4).to(poses)
-    patient_from_ct[:3, 3] = volume.origin_patient_mm
-    return patient_from_ct @ torch.linalg.inv(world_from_ct(poses, view))
-
-
-def _words(vector: Tensor) -> str:
-    return " ".join(f"{value:.9g}" for value in vector.tolist())
+def _words(numbers: Tensor) -> str:
+    return " ".join(f"{value:.9g}" for value in numbers.flatten().tolist())

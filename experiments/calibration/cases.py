@@ -15,7 +15,7 @@ EVIDENCE = "evidence_"
 """Begins the columns of the evidence."""
 
 _LISTS = ("frozen", "at_limit")
-_FLAGS = ("comparable", "guided")
+_FLAGS = ("comparable",)
 _COUNTS = ("starts", "agreeing", "looks")
 
 

@@ -16,7 +16,7 @@ from experiments.common import markdown
 from experiments.common.style import DPI, PALETTE, use_style
 from regtorch.registration.trust import LIMITS
 
-_COLUMNS = 4
+_COLUMNS = 3
 _CLASSES = {True: "right", False: "wrong"}
 
 
@@ -36,7 +36,7 @@ def write(folders: Sequence[Path], out: Path) -> list[Path]:
 def limits_figure(cases: Sequence[Case], limits: pd.DataFrame) -> mpl.figure.Figure:
     """Each number's right and wrong cases, the limit as a line, the interval of equally good values as a band."""
     rows = -(-len(JUDGED) // _COLUMNS)
-    figure = mpl.figure.Figure(figsize=(11, 2.6 * rows), layout="constrained")
+    figure = mpl.figure.Figure(figsize=(10, 2.6 * rows), layout="constrained")
     panels = figure.subplots(rows, _COLUMNS).flat
     for axes, judged, (_, row) in zip(panels, JUDGED, limits.iterrows(), strict=False):
         known = [(judged.number(case.evidence), _CLASSES[case.right]) for case in cases if case.right is not None]

@@ -26,10 +26,8 @@ def _over_mirrored(evidence: Evidence) -> float | None:
 
 JUDGED = (
     Judged("least_similarity", lambda e: e.best_start, "best start's similarity"),
-    Judged("least_guided", lambda e: e.best_start if e.guided else None, "best start's similarity, guided"),
-    Judged("enough_similarity", lambda e: e.similarity if e.guided else None, "answer's similarity, guided"),
     Judged("strong_similarity", lambda e: e.best_start, "best start's similarity"),
-    Judged("least_over_mirrored", _over_mirrored, "best start's similarity over the mirrored one's"),
+    Judged("least_over_mirrored", _over_mirrored, "best start over the mirrored one"),
     Judged("least_gap", lambda e: e.gap, "gap to the runner-up"),
     Judged("least_gain", lambda e: e.gain, "gain by robust weights"),
     Judged("most_expected_mm", lambda e: e.expected_mm, "expected error (mm)"),

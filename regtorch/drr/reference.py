@@ -9,7 +9,10 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-_SAMPLES_AT_ONCE = 1 << 23
+from regtorch.batches import at_once
+
+_SHARE = 2.0
+"""Of the budget: the reference holds one array of samples at a time."""
 
 
 def project(
@@ -72,7 +75,7 @@ def _some_rays(ray, data, rows, columns):
     samples_per_ray = 2 * int((size + 1.0).norm()) + int(size.sum()) + 6
     source, first, column_step, row_step = ray.unflatten(-1, (4, 3))
     pixels = torch.arange(rows * columns, device=data.device)
-    for some in pixels.split(max(1, _SAMPLES_AT_ONCE // (len(data) * samples_per_ray))):
+    for some in pixels.split(at_once(len(data) * samples_per_ray, share=_SHARE, most=len(pixels))):
         steps = torch.stack([some % columns, some // columns], dim=1).to(data)
         yield source.expand(len(some), 3), first + steps[:, :1] * column_step + steps[:, 1:] * row_step, steps
 
@@ -142,7 +145,7 @@ def _span(source, direction, lower, upper):
 
 
 def _sharpened(points, sharpness):
-    """Where linear interpolation gives what voxels of this sharpness have at (i, j, k)."""
+    """The place where linear interpolation gives the value of voxels of this sharpness at (i, j, k)."""
     cell = points.detach().floor()
     return cell + ((points - cell - 0.5) * sharpness + 0.5).clamp(0, 1)
 

@@ -28,19 +28,19 @@ def render(
 ) -> Float[Tensor, "..."]:
     """Line integrals [*b, h, w] of attenuation from the source to every pixel, seen looking from the source.
 
-    What lies behind the source or behind the detector is not counted, and air surrounds the volume. The images have
-    the type and device of ``volume.data``, whose unit must be ``per_mm`` (see ``regtorch.imaging.attenuation``); a
-    volume of c classes [c, d, h, w] (``tissue_classes``) gives [*b, c, h, w] in one pass. Differentiable by the
+    Voxels behind the source or behind the detector do not count, and air surrounds the volume. The images have
+    the type and device of ``volume.data``, whose unit must be ``per_mm`` (see ``regtorch.imaging.hounsfield``); a
+    volume of c classes of tissue [c, d, h, w] gives [*b, c, h, w] in one pass. Differentiable by the
     parameters and by the voxels with every backend.
 
     Methods: ``siddon`` (Siddon 1985) is exact for voxels of constant value; ``joseph`` (Joseph 1982) interpolates
     bilinearly, or with the edges that ``volume.sharpness`` asks for, on each slice across the axis nearest to the ray;
     ``trilinear`` samples at half-voxel steps.
     Backends: ``torch`` is the readable reference; ``cpu`` and ``triton`` (for GPUs) are fused kernels in float32.
-    ``auto`` takes the fastest that can do what is asked.
+    ``auto`` takes the fastest that can render this.
 
-    Raises ``RegtorchError`` for HU, poses that are not finite or have their source not in front of the detector, and
-    for a method or backend that is not known or a backend that cannot do what is asked.
+    Raises ``RegtorchError`` for values in HU and for poses that are not finite or have the source behind the detector.
+    It also does for unknown methods and backends, and for a backend that cannot render this.
     """
     fused = chosen_backend(volume, parameters, method, backend)
     rays = rays_of(volume, parameters, detector, view)

@@ -1,4 +1,4 @@
-"""DICOM headers and pixels without surprises: what cannot be read ends in a ``RegtorchError``, quietly."""
+"""DICOM headers and pixels without surprises: an unreadable file ends in a ``RegtorchError``, without other output."""
 
 import math
 import warnings
@@ -25,7 +25,7 @@ def quiet() -> Iterator[None]:
 
 
 def read_header(path: Path, keywords: Sequence[str] | None = None) -> Dataset | None:
-    """Without pixels, only ``keywords`` if given; None for what is not DICOM."""
+    """Without pixels, only ``keywords`` if given; None for a file that is not DICOM."""
     try:
         return pydicom.dcmread(path, stop_before_pixels=True, specific_tags=list(keywords) if keywords else None)
     except Exception:  # a broken file of any kind; pydicom raises KeyError, struct.error and more
@@ -59,6 +59,6 @@ def numbers(header: Dataset, keyword: str) -> list[float]:
 
 
 def number(header: Dataset, keyword: str) -> float | None:
-    """A single number, None where there is none."""
+    """A single number, or None."""
     values = numbers(header, keyword)
     return values[0] if len(values) == 1 else None

@@ -1,4 +1,4 @@
-"""One radiograph's pixels and what its DICOM header says of them."""
+"""One radiograph's pixels and their meaning by the DICOM header."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +24,7 @@ _LEAST_OPENING = 1 / 16
 
 @dataclass(frozen=True)
 class StoredRadiograph:
-    """A radiograph as its file has it: values and what they mean, place and size of the pixels where stated."""
+    """A radiograph as its file has it: values and their meaning, place and size of the pixels where stated."""
 
     values: Shaped[ndarray, "h w"]
     meaning: Meaning

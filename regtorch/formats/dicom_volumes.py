@@ -22,7 +22,7 @@ _KEYWORDS = [
 ]
 _CT_IMAGE = "1.2.840.10008.5.1.4.1.1.2"
 _AIR_HU, _DENSEST_HU = -1024, 4000
-"""What padding becomes that would be denser than any bone; metal ends above 3,000 HU in most scanners."""
+"""The value of padding that would be denser than any bone; metal ends above 3,000 HU in most scanners."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What kind a file is, and other libraries' messages about it."""
+"""The kind of a file, and other libraries' messages about it."""
 
 import os
 import sys
@@ -20,7 +20,7 @@ def is_dicom(path: Path) -> bool:
 
 @contextmanager
 def native_silence() -> Iterator[None]:
-    """Drops what C++ libraries print on the process' standard error; what matters they raise as well."""
+    """Drops messages of C++ libraries on the process's standard error; they raise the important ones as well."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

@@ -1,4 +1,4 @@
-"""What a stored value says of the beam, and line integrals from it.
+"""The meaning of stored values for the beam, and line integrals from them.
 
 DICOM PS3.3 C.8.11.3.1.2 (DX) and C.8.7.1 (XA, RF): PixelIntensityRelationship is LIN (proportional to the beam's
 intensity), LOG (to its logarithm) or DISP (made for display); PixelIntensityRelationshipSign is 1 where lower values
@@ -43,7 +43,7 @@ class Meaning:
 
 
 def check_intensity(intensity: str) -> None:
-    """Raises ``RegtorchError`` for a word that is none of ``INTENSITIES``."""
+    """Raises ``RegtorchError`` for a word outside ``INTENSITIES``."""
     if intensity not in INTENSITIES:
         raise RegtorchError(f"intensity {intensity!r}: expected one of {', '.join(INTENSITIES)}")
 
@@ -58,26 +58,46 @@ def dicom_meaning(header: Dataset, intensity: str) -> Meaning:
     top = 2 ** (number(header, "BitsStored") or 16) - 1
     if intensity == "counts":
         return Meaning(grows=sign != -1, counts=True, top=top)
-    warnings = []
+    shows = _Shown(relation, monochrome, for_display, fluoroscopy=header.get("Modality") in ("RF", "XA"))
     if sign is None and relation not in ("LIN", "LOG"):
-        grows = monochrome == "MONOCHROME1"
-        if header.get("Modality") in ("RF", "XA"):
+        return shows.by_photometric_interpretation(top)
+    return shows.by_sign(sign, top, intensity)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A file's statements about its grey values, besides a sign."""
+
+    relation: str
+    monochrome: str
+    for_display: bool
+    fluoroscopy: bool
+
+    def by_photometric_interpretation(self, top: float) -> Meaning:
+        """Values as a viewer shows them: MONOCHROME1 is dark where they are high."""
+        told = f"PixelIntensityRelationship is {self.relation}: bone is taken to be shown white, as in radiography"
+        warnings = (told,) if self.fluoroscopy else ()
+        return Meaning(self.monochrome == "MONOCHROME1", counts=False, top=top, of_stored=False, warnings=warnings)
+
+    def by_sign(self, sign: float | None, top: float, intensity: str) -> Meaning:
+        grows = sign != -1
+        warnings = [self._contradiction(sign)] if grows != (self.monochrome == "MONOCHROME1") else []
+        linear = self.relation == "LIN" and intensity == "auto"
+        if linear and self.for_display:
             warnings.append(
-                f"PixelIntensityRelationship is {relation}: bone is taken to be shown white, as in radiography"
+                "LIN but FOR PRESENTATION: taken as processed for a display, so no logarithm (else say counts)"
             )
-        return Meaning(grows, counts=False, top=top, of_stored=False, warnings=tuple(warnings))
-    grows = sign != -1
-    if grows != (monochrome == "MONOCHROME1"):
-        if for_display and sign is not None:
-            warnings.append(f"PixelIntensityRelationshipSign makes {monochrome} show bone black: the sign is believed")
-        elif sign is None and header.get("Modality") not in ("RF", "XA"):
-            warnings.append(
-                f"PixelIntensityRelationship {relation} has no sign: {monochrome} is taken to show bone black"
+        return Meaning(grows, linear and not self.for_display, top, warnings=tuple(filter(None, warnings)))
+
+    def _contradiction(self, sign: float | None) -> str:
+        """Of sign and photometric interpretation; empty where the file is expected to show bone black."""
+        if self.for_display and sign is not None:
+            return f"PixelIntensityRelationshipSign makes {self.monochrome} show bone black: the sign is believed"
+        if sign is None and not self.fluoroscopy:
+            return (
+                f"PixelIntensityRelationship {self.relation} has no sign: {self.monochrome} is taken to show bone black"
             )
-    counts = relation == "LIN" and not for_display and intensity == "auto"
-    if relation == "LIN" and for_display and intensity == "auto":
-        warnings.append("LIN but FOR PRESENTATION: taken as processed for a display, so no logarithm (else say counts)")
-    return Meaning(grows, counts, top, warnings=tuple(warnings))
+        return ""
 
 
 def line_integrals(values: Shaped[ndarray, "h w"], meaning: Meaning) -> Float[ndarray, "h w"]:

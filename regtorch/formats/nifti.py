@@ -1,5 +1,5 @@
-"""What NIfTI's C reader passes over in silence: it fills a cut file with zeros, turns NaN into 0, and chooses where a
-header tells two places."""
+"""Faults that NIfTI's C reader passes over in silence: it fills a cut file with zeros, turns NaN into 0, and chooses
+where a header tells two places."""
 
 import gzip
 import zlib
@@ -17,10 +17,10 @@ _BLOCK = 1 << 22
 
 
 def check_nifti(path: Path) -> tuple[str, ...]:
-    """What looks wrong with the header.
+    """Faults of the header, one line each.
 
-    Raises ``RegtorchError`` for a file that is cut short or damaged, has values that are not finite, or voxels of two
-    sizes or in two places.
+    Raises ``RegtorchError`` for a file that is cut short or damaged. It also does for values that are not finite, and
+    for voxels of two sizes or in two places.
     """
     opener = gzip.open if path.name.lower().endswith(".gz") else open
     try:
@@ -101,7 +101,7 @@ def _upright(axes: Float[np.ndarray, "3 3"]) -> bool:
 
 
 def _kind(header: bytes) -> tuple[str, int]:
-    """Byte order and version, 0 for what is not NIfTI."""
+    """Byte order and version, 0 for a file that is not NIfTI."""
     for order in "<>":
         size = int(np.frombuffer(header, order + "i4", 1)[0]) if len(header) >= 352 else 0
         if size == 348 or (size == 540 and len(header) == 540):

@@ -72,7 +72,7 @@ def read_radiograph(
 
 
 def _without_unused(stored: StoredRadiograph) -> Shaped[ndarray, "h w"]:
-    """What is padded or behind a shutter looks as if no beam had come through, so that it tells nothing of the rest."""
+    """Padding and shutters look as if no beam had come through; they tell nothing of the other pixels."""
     if stored.unused is None or not stored.unused.any() or stored.unused.all():
         return stored.values
     used = stored.values[~stored.unused]
@@ -130,7 +130,8 @@ def _plain(path: Path, view: str, intensity: str, pixel_mm: float | None) -> Sto
 
 
 def _metadata(text: str) -> dict:
-    """What ``write_radiograph`` left; a foreign file's resolution in dpi is that of a printout and is not asked."""
+    """The metadata of ``write_radiograph``; a foreign file's resolution in dpi is that of a printout and is not
+    asked."""
     try:
         found = json.loads(text)
     except ValueError:
@@ -139,7 +140,7 @@ def _metadata(text: str) -> dict:
 
 
 def _grey(path: Path) -> tuple[Shaped[ndarray, "h w"], str, list[str]]:
-    """Values of a PNG or TIFF with one grey channel, its text, and what looks wrong."""
+    """Values of a PNG or TIFF with one grey channel, its text, and its faults."""
     if not path.is_file():
         raise RegtorchError(f"{path}: no such file, expected a PNG or TIFF image")
     suffix = path.suffix.lower()

@@ -1,4 +1,4 @@
-"""Named points in the patient, read from CSV or from what 3D Slicer saves: ``.mrk.json`` and the older ``.fcsv``."""
+"""Named points in the patient, read from CSV or from files of 3D Slicer: ``.mrk.json`` and the older ``.fcsv``."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""CTs in and out of files: ``read_volume`` for every format, ``write_volume`` for those of SimpleITK."""
+"""CTs in and out of files: ``read_volume`` reads every format, ``write_volume`` writes SimpleITK's."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ _SHEARED = "axes that are not at 90 degrees (a gantry tilt?), expected a resampl
 def read_volume(path: str | Path) -> Volume:
     """A CT in HU (float32) from a DICOM folder of one series, NIfTI, NRRD or MHA.
 
-    Raises ``RegtorchError`` for what is not one whole, evenly spaced, finite volume.
+    Raises ``RegtorchError`` for anything but one whole, evenly spaced, finite volume.
     """
     path = Path(path)
     if not path.exists():

@@ -13,8 +13,8 @@ from regtorch.errors import RegtorchError
 class Detector:
     """A grid of square pixels in the plane Z = 0 of the ``world`` frame.
 
-    ``centre_mm`` is where the grid's centre lies, (X, Y): it is (0, 0) for a whole detector, whose centre defines the
-    world's origin, and moves when an image is cropped, so that the nine parameters keep their meaning.
+    ``centre_mm`` is where the grid's centre lies, (X, Y): it is (0, 0) for a whole detector, whose centre is the
+    world's origin. It moves when an image is cropped, so that the nine parameters keep their meaning.
     """
 
     rows: int
@@ -50,7 +50,7 @@ class Detector:
     def fit(self, longest: int) -> "Detector":
         """The same area on a coarser grid whose longer side has at most ``longest`` pixels; never a finer one.
 
-        What does not fill a whole pixel is left out evenly on both sides, so the centre stays.
+        A rest that fills no whole pixel is left out evenly on both sides, so the centre stays.
         """
         factor = max(self.rows, self.columns) / longest
         if factor <= 1:

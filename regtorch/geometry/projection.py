@@ -1,7 +1,7 @@
 """Projection matrices from the nine parameters, and back.
 
-Eq. (1) of the paper is printed with the wrong sign for x_s and y_s: with the source at z_s > 0 and the detector at
-z = 0, the ray from the source through (x, y, z) meets the detector at X = (z_s x - x_s z) / (z_s - z).
+Eq. (1) of the paper is printed with the wrong sign for x_s and y_s: take the source at z_s > 0 and the detector at z =
+0. The ray from the source through (x, y, z) meets the detector at X = (z_s x - x_s z) / (z_s - z).
 """
 
 import torch
@@ -46,7 +46,7 @@ def pixel_from_patient(
 
 
 def project(matrix: Float[Tensor, "*b 3 4"], points: Float[Tensor, "n 3"]) -> Float[Tensor, "*b n 2"]:
-    """(column, row) of points; not a number for those not in front of the source."""
+    """(column, row) of points; not a number for points behind the source."""
     homogeneous = points.to(matrix) @ matrix[..., :3].mT + matrix[..., None, :, 3]
     depth = homogeneous[..., 2:]
     return homogeneous[..., :2] / torch.where(depth > 0, depth, torch.nan)

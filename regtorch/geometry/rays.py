@@ -31,7 +31,7 @@ def ray_jacobian(
     """Derivatives of ``cone_beam_rays`` by the nine parameters: voxels per mm, voxels per rad.
 
     A point p of the world is A^-1 (p - t) in the ct frame, with A = R B_view and t where the patient is; a step has no
-    t. Turning the patient about an axis w by a small angle turns p - t, seen from the patient, by -w x (p - t), where w
+    t. Turning the patient about an axis w by a small angle turns p - t, seen from the patient, by -w x (p - t). Here w
     is R X for eta, Rz Y for theta and Z for phi.
     """
     world_from_patient = world_from_ct(parameters, view)

@@ -30,5 +30,5 @@ def world_from_patient_axes(view: str) -> Float[Tensor, "3 3"]:
 
 
 def same_view(one: str, other: str) -> bool:
-    """Whether two names mean the same view, as LAT and LLAT do; a name that is none is the same as nothing."""
+    """Whether two names mean the same view, as LAT and LLAT do; an unknown name equals no view."""
     return one in _AXES and _AXES[one] == _AXES.get(other)

@@ -1,8 +1,8 @@
-"""CT and radiograph in memory: made into what the registration compares, and checked."""
+"""CT and radiograph in memory: made into line integrals and attenuation, and checked."""
 
-from regtorch.imaging.attenuation import BONE_HU, attenuation, bone_contrast, crop_to_anatomy, tissue_classes
 from regtorch.imaging.averaging import coarsen
 from regtorch.imaging.checks import check_radiograph, check_volume
+from regtorch.imaging.hounsfield import BONE_HU, attenuation, bone_contrast, crop_to_anatomy
 from regtorch.imaging.radiograph import Radiograph, level
 from regtorch.imaging.truncation import continued
 from regtorch.imaging.volume import Volume
@@ -19,5 +19,4 @@ __all__ = [
     "continued",
     "crop_to_anatomy",
     "level",
-    "tissue_classes",
 ]

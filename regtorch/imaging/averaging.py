@@ -1,4 +1,4 @@
-"""Exact area averaging onto a coarser grid, one axis at a time: what both pyramids are made of."""
+"""Exact area averaging onto a coarser grid, one axis at a time: both pyramids are made by it."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
-from regtorch.imaging.attenuation import AIR_HU
+from regtorch.imaging.hounsfield import AIR_HU
 from regtorch.imaging.volume import Volume
 
 

@@ -1,6 +1,6 @@
-"""One line each on what looks wrong with a CT or a radiograph, and nothing on what is in order.
+"""Faults of a CT or a radiograph, one line each.
 
-Each test states what cannot be so in a sound image. The limits were set on DRRs of three CTs (PA and LAT, bone alone
+Each test states a condition that no sound image meets. The limits were set on DRRs of three CTs (PA and LAT, bone alone
 and everything, many poses) and leave a margin to all of them.
 """
 
@@ -17,7 +17,7 @@ _TISSUE_HU, _PADDING_HU = -300, -1500
 
 
 def check_volume(volume: Volume) -> list[str]:
-    """What looks wrong with a CT in HU."""
+    """Faults of a CT in HU, one line each."""
     found = list(volume.warnings)
     every = max(1, volume.data.numel() // 250_000)
     values = volume.data.flatten()[::every].cpu()
@@ -47,7 +47,7 @@ def check_volume(volume: Volume) -> list[str]:
 
 
 def check_radiograph(radiograph: Radiograph, *, sdd_known: bool = False) -> list[str]:
-    """What reading found and what looks wrong with the image as line integrals, bone bright.
+    """Warnings of the reader, and faults of the image as line integrals, bone bright.
 
     An SDD that is known from elsewhere is not missed in the file.
     """
@@ -69,7 +69,7 @@ def check_radiograph(radiograph: Radiograph, *, sdd_known: bool = False) -> list
 
 
 def _cut_at_the_sides(volume: Volume) -> float:
-    """The share of lines across the body that have tissue where the CT, or what scanners pad it with, ends.
+    """The share of lines across the body that have tissue where the CT or its padding ends.
 
     The largest of the four sides. A couch or an arm alone has up to a fifth.
     """

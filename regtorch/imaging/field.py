@@ -26,11 +26,11 @@ first guessed, and then each must hold."""
 _WEAKEST = 0.1
 """Mean drop of an edge, as a share of the grey range: that of a patient table's shadow is up to 0.09."""
 _LEAST_RANGE = 0.06
-"""Of what is left, as a share of the whole image's: there must be anatomy in it, as there is none in air."""
+"""Of the remaining field, as a share of the whole image's: the field must show anatomy, and air shows none."""
 _MOST_STRUCTURE = 1.5
 """Beyond an edge, of that in the field: up to 1.2 with collimators, from noise; 14 where a straight spine is cut."""
 _NEARLY_ALL = 0.2
-"""The quantile beyond an edge that is brighter than what is beside it inside: air further out is not."""
+"""The quantile beyond an edge that is brighter than the field beside it: air further out is not."""
 _TRIED = 20
 """Lines, the likeliest first."""
 _LETTERS = 0.1
@@ -40,7 +40,7 @@ _LETTERS = 0.1
 def exposed_field(image: Float[Tensor, "h w"]) -> Box:
     """The exposed rectangle of a bone-bright image; all of it where no collimator is seen.
 
-    Lead keeps the beam away, though not what the patient scatters: along the whole straight edge the image falls from
+    Lead keeps the beam away, but not the patient's scatter: along the whole straight edge the image falls from
     brighter, out to the border, more steeply than beside it, which anatomy hardly ever does. Dark borders are air and
     stay, unless they are one constant around a filled rectangle, which is a shutter burnt in.
     """
@@ -69,11 +69,11 @@ def exposed_field(image: Float[Tensor, "h w"]) -> Box:
 
 @dataclass(frozen=True)
 class _Side:
-    """An image turned so that one of its sides is on top, and what its lines are as edges of a collimator there.
+    """An image turned so that one of its sides is on top, and its lines as edges of a collimator there.
 
-    Line r of a tilt is ``shift`` pixels below row r. ``drop`` is how much the image falls across it, from the two
-    pixels above those beside it to the two below, and ``steepest`` says whether it falls less across the lines
-    ``_APART`` above and below.
+    Line r of a tilt is ``shift`` pixels below row r. ``drop`` is the fall of the image across a line, from two pixels
+    well above it to two well below. ``steepest`` says whether it falls less across the lines ``_APART`` above and
+    below.
     """
 
     image: Float[Tensor, "h w"]
@@ -97,7 +97,7 @@ class _Side:
         )
 
     def depth(self, share: float, *, opposite: int, ends: list[int]) -> int:
-        """How far in the collimator reaches, 0 where there is none; the others reach in ``opposite`` and ``ends``."""
+        """How far in the collimator reaches, 0 without one; the others reach in ``opposite`` and ``ends``."""
         rows, along = self.image.shape
         span = slice(ends[0], along - ends[1])
         drop, steepest = self.drop[:, 1 : rows - opposite - 10, span], self.steepest[:, 1 : rows - opposite - 10, span]

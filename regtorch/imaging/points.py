@@ -1,4 +1,4 @@
-"""Points on the anatomy, spread evenly: what accuracy is asked of where nobody named targets."""
+"""Points on the anatomy, spread evenly: the targets of a CT where nobody named any."""
 
 import torch
 from jaxtyping import Float
@@ -11,7 +11,8 @@ _GRID_MM = 6.0
 
 
 def spread_points(volume: Volume, n: int) -> Float[Tensor, "n 3"]:
-    """Up to ``n`` places (LPS mm) in the denser half of what attenuates, each as far as can be from those before it.
+    """Up to ``n`` places (LPS mm) in the denser half of the attenuating voxels, each as far as can be from all before
+    it.
 
     The first is the one nearest to the middle of them all. Deterministic.
     """

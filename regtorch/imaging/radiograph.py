@@ -16,8 +16,8 @@ class Radiograph:
     """One X-ray image, bone bright, looking from the source to the detector.
 
     ``weight`` (0..1) is 0 outside the collimated field and where masked. ``stored_from_pixel`` (float64) maps
-    homogeneous (column, row) of ``image`` to those of the file. ``detector`` is the file's whole one, centred on
-    (0, 0), until ``level`` crops it. ``warnings`` are what reading found, one line each.
+    homogeneous (column, row) of ``image`` to (column, row) of the file. ``detector`` is the file's whole one, centred
+    on (0, 0), until ``level`` crops it. ``warnings`` are the reader's, one line each.
     """
 
     image: Float[Tensor, "h w"]
@@ -57,10 +57,10 @@ class Radiograph:
 
 
 def level(radiograph: Radiograph, longest: int) -> Radiograph:
-    """One level of the pyramid: the box of what counts, averaged onto at most ``longest`` pixels a side.
+    """One level of the pyramid: the box of the pixels that count, averaged onto at most ``longest`` pixels a side.
 
-    Pixels count by their weight, so that what is masked or outside the field does not leak into its neighbours; where
-    nothing counts the image holds the mean of what does.
+    Pixels count by their weight, so that masked ones and ones outside the field do not leak into their neighbours;
+    where nothing counts the image holds the mean of the others.
     """
     if longest < 1:
         raise RegtorchError(f"pyramid level of {longest} pixels: expected at least 1")

@@ -1,21 +1,22 @@
-"""Where a CT ends and the patient does not: a radiograph shows what goes on, and none of the edges of the CT."""
+"""Where a CT ends and the patient does not: a radiograph shows the rest of the body, and none of the edges of the
+CT."""
 
 import math
 
 import torch
 from torch import Tensor
 
-from regtorch.imaging.attenuation import BONE_HU, MU_WATER_PER_MM
+from regtorch.imaging.hounsfield import BONE_HU, MU_WATER_PER_MM
 from regtorch.imaging.volume import Volume
 
 _CUT = 0.1
-"""What the first or last slice must attenuate, of the densest one, for the body to go on beyond it."""
+"""Least attenuation of the first or last slice, as a share of the densest one's, for the body to go on beyond it."""
 
 _SOFT_PER_MM = MU_WATER_PER_MM * (1 + BONE_HU / 1000)
 
 
 def continued(whole: Volume, reach_mm: float) -> Volume:
-    """All tissue and, where the CT cuts the body, what lies there again and again, up to ``reach_mm`` from the origin.
+    """All tissue and, where the CT cuts the body, copies of the last slices, up to ``reach_mm`` from the origin.
 
     As soft tissue at most, since the next bone is another one. The same volume where the CT cuts nothing or reaches far
     enough.

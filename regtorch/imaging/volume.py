@@ -16,12 +16,11 @@ class Volume:
 
     ``patient_from_voxel`` (float64, CPU) maps (i, j, k, 1) to LPS millimetres; its axes are orthogonal.
     ``origin_patient_mm`` is the origin of the ``ct`` frame, the centre of the CT as stored in its file: cropping and
-    coarsening leave it where it is, so that the nine parameters keep their meaning.
-    ``unit`` is ``"HU"`` or, after ``attenuation``, ``"per_mm"``. ``name`` says in messages where it came from.
-    ``slice_thickness_mm`` is what a DICOM series says of its slices, which may be thinner than their distance.
-    ``warnings`` are what looked wrong when it was read.
-    ``sharpness`` (along i, j, k) is how to read between voxels: with 1 a value goes over into the next one's linearly
-    from centre to centre, with s on the middle 1/s of that way, and voxels are constant else.
+    coarsening leave it where it is, so that the nine parameters keep their meaning. ``unit`` is ``"HU"`` or, after
+    ``attenuation``, ``"per_mm"``. ``name`` says in messages where it came from. ``slice_thickness_mm`` is the DICOM
+    series' own; slices may be thinner than their distance. ``warnings`` are the reader's. ``sharpness`` (along i, j, k)
+    is how to read between voxels: with 1 a value changes into the next one linearly from centre to centre. With s it
+    does so on the middle 1/s of that way, and voxels are constant elsewhere.
     """
 
     data: Float[Tensor, "*c d h w"]
@@ -55,7 +54,7 @@ class Volume:
 
     @property
     def grid(self) -> Float[Tensor, "2 3"]:
-        """What a projector needs to know of the voxels along i, j, k: their size in mm, and ``sharpness``."""
+        """A projector's knowledge of the voxels along i, j, k: their size in mm, and ``sharpness``."""
         return torch.stack([self.spacing_mm, torch.tensor(self.sharpness, dtype=torch.float64)])
 
     @property

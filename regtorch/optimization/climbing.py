@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 Equations = Callable[[Float[Tensor, "n d"]], tuple[Float[Tensor, " n"], Float[Tensor, "n d d"], Float[Tensor, "n d"]]]
@@ -35,12 +35,12 @@ def levenberg_marquardt(
     """Climb the mean rho of normalised correlations M F, whose residuals are M - F with Jacobian J.
 
     ``equations`` gives rho, J^T J and J^T (M - F) summed over the correlations. Where M and F are unlike, the curvature
-    of rho is not J^T J but rho times that: M has constant length, so F M'' = -rho J^T J + what F has beside M. Steps
-    are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units of ``scale``, and
-    taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, when one that is hardly
-    damped, and that no limit cuts off, gains less than ``least_gain`` of what rho lacks to 1, or when one is not taken
-    though strongly damped. Nor is one tried that by J^T J gains no more.
-    Points stay between ``lower`` and ``upper``: a parameter at a limit that wants beyond rests.
+    of rho is not J^T J but rho times that: M has constant length, so F M'' = -rho J^T J and a term of the part of F
+    beside M. Steps are therefore made with rho J^T J (rho from ``least_similarity`` on), Levenberg's damping in units
+    of ``scale``, and taken if rho grows. A start ends when a step is shorter than ``tolerance`` in these units, or is
+    not taken though strongly damped. It also ends when a hardly damped step, which no limit cuts off, gains less than
+    ``least_gain`` of 1 - rho. A step that gains no more by J^T J is not tried. Points stay between ``lower`` and
+    ``upper``: a parameter at a limit that wants beyond rests.
     """
     x = start.clamp(lower, upper)
     similarity, jtj, jtr = (part.clone() for part in equations(x))
@@ -55,14 +55,7 @@ def levenberg_marquardt(
         resting = ((here <= lower) & (slope > 0)) | ((here >= upper) & (slope < 0))
         curvature = jtj[active] * scale[:, None] * scale
         curvature = curvature * similarity[active].clamp(min=least_similarity)[:, None, None]
-        level = curvature.diagonal(dim1=1, dim2=2)
-        damped = curvature + torch.diag_embed(
-            factor[active, None] * (level + level.mean(1, keepdim=True)) + torch.finfo(x.dtype).tiny
-        )
-        moving = (~resting).to(x)
-        damped = damped * moving[:, :, None] * moving[:, None, :] + torch.diag_embed(1 - moving)
-        step, failed = torch.linalg.solve_ex(damped, -(slope * moving)[..., None])
-        step = torch.where(((failed == 0)[:, None]) & step[..., 0].isfinite().all(1, keepdim=True), step[..., 0], 0)
+        step = _damped_step(curvature, slope, factor[active], resting)
         wanted = here + step * scale
         there = wanted.clamp(lower, upper)
         foretold = -((slope + (curvature @ step[..., None])[..., 0] / 2) * step).sum(1)
@@ -83,3 +76,20 @@ def levenberg_marquardt(
         length = ((there - here) / scale).norm(dim=1)
         active = active[~(ended | (length < tolerance) | (factor[active] > 1e4))]
     return Ascent(x, similarity, jtj, evaluations)
+
+
+def _damped_step(
+    curvature: Float[Tensor, "n d d"],
+    slope: Float[Tensor, "n d"],
+    factor: Float[Tensor, " n"],
+    resting: Bool[Tensor, "n d"],
+) -> Float[Tensor, "n d"]:
+    """Levenberg's step; 0 for resting parameters, and for all of a start whose equations cannot be solved."""
+    level = curvature.diagonal(dim1=1, dim2=2)
+    damped = curvature + torch.diag_embed(
+        factor[:, None] * (level + level.mean(1, keepdim=True)) + torch.finfo(slope.dtype).tiny
+    )
+    moving = (~resting).to(slope)
+    damped = damped * moving[:, :, None] * moving[:, None, :] + torch.diag_embed(1 - moving)
+    step, failed = torch.linalg.solve_ex(damped, -(slope * moving)[..., None])
+    return torch.where(((failed == 0)[:, None]) & step[..., 0].isfinite().all(1, keepdim=True), step[..., 0], 0)

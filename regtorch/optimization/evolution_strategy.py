@@ -1,13 +1,13 @@
 """CMA-ES for many starts at once. Hansen, The CMA Evolution Strategy: A Tutorial, arXiv 1604.00772 (equations below).
 
-All starts share the generation counter g; what differs is a row of a tensor. A start that has ended leaves the batch.
+All starts share the generation counter g; each start is a row of a tensor. A start that has ended leaves the batch.
 """
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
@@ -60,45 +60,21 @@ def cma_es(
     n, d = begin.u.shape
     strategy = default_strategy(d, population)
     tolerances = Tolerances(tol_fun, tol_fun_hist, tol_x)
-    limit, at_limit = max_generations, "MaxGenerations"
-    if max_evaluations is not None and max_evaluations // strategy.lam < limit:
-        limit, at_limit = max_evaluations // strategy.lam, "MaxEvaluations"
-    if limit < 1:
-        raise RegtorchError(f"a budget of {limit} generations of {strategy.lam} evaluations: expected at least one")
-    random = [_generator(seed, stream) for stream in (range(n) if streams is None else streams)]
-    if len(random) != n:
-        raise RegtorchError(f"{len(random)} random streams for {n} starts: expected one each")
-
-    rows = first_rows(begin)
-    end = Optimum(
-        begin.real(begin.u),
-        torch.full((n,), torch.inf, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.int64),
-        torch.zeros(n, dtype=torch.int64),
-        (),
-        torch.empty_like(begin.u),
-        torch.empty_like(begin.shape),
-    )
-    reasons = [at_limit] * n
+    limit, at_limit = _limit(strategy.lam, max_generations, max_evaluations)
+    random = _generators(seed, n, streams)
+    rows, end, reasons = first_rows(begin), _empty(begin), [at_limit] * n
     for g in range(1, limit + 1):
         if (g - 1) % BLOCK == 0:
-            shape = (BLOCK, strategy.lam, d)
-            block = torch.stack(
-                [torch.randn(shape, generator=random[i], dtype=torch.float64) for i in rows.start.tolist()]
-            )
+            block = _drawn(random, rows, (BLOCK, strategy.lam, d))
         cost = _generation(objective, begin, strategy, rows, block[:, (g - 1) % BLOCK], g)
         end.cost[rows.start] = rows.best_cost
         if on_generation is not None:
             on_generation(g, len(rows.start), end.cost.clone())
         rules = converged(g, cost, rows, tolerances) | degenerate(g, rows, tolerances)
-        hits = torch.stack(list(rules.values()))
-        ended = hits.any(0) if g < limit else torch.ones_like(hits[0])
+        ended = _ended(rules, rows, reasons)
+        ended = ended if g < limit else torch.ones_like(ended)
         if not bool(ended.any()):
             continue
-        names = list(rules)
-        for row in ended.nonzero()[:, 0].tolist():
-            if bool(hits[:, row].any()):
-                reasons[int(rows.start[row])] = names[int(hits[:, row].int().argmax())]
         _write(end, begin, rows, ended, g, strategy.lam)
         rows.keep(~ended)
         block = block[~ended]
@@ -107,9 +83,49 @@ def cma_es(
     return Optimum(end.x, end.cost, end.evaluations, end.generations, tuple(reasons), end.mean, end.covariance)
 
 
-def _generator(seed: int, stream: int) -> torch.Generator:
-    # Hashed, so that neighbouring seeds share no stream, and nothing else that is seeded draws the same numbers.
-    return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, stream]).generate_state(1)[0]))
+def _limit(population: int, max_generations: int, max_evaluations: int | None) -> tuple[int, str]:
+    """Generations within the budget, and the reason of a start that ends there."""
+    limit, reason = max_generations, "MaxGenerations"
+    if max_evaluations is not None and max_evaluations // population < limit:
+        limit, reason = max_evaluations // population, "MaxEvaluations"
+    if limit < 1:
+        raise RegtorchError(f"a budget of {limit} generations of {population} evaluations: expected at least one")
+    return limit, reason
+
+
+def _generators(seed: int, n: int, streams: Sequence[int] | None) -> list[torch.Generator]:
+    """One generator per start, of a hashed seed: neighbouring seeds share no stream."""
+    states = [np.random.SeedSequence([seed, stream]) for stream in (range(n) if streams is None else streams)]
+    if len(states) != n:
+        raise RegtorchError(f"{len(states)} random streams for {n} starts: expected one each")
+    return [torch.Generator().manual_seed(int(state.generate_state(1)[0])) for state in states]
+
+
+def _drawn(random: list[torch.Generator], rows: Rows, shape: tuple[int, int, int]) -> Float[Tensor, "a g lam d"]:
+    """Standard normal numbers of some generations for every running start."""
+    drawn = [torch.randn(shape, generator=random[i], dtype=torch.float64) for i in rows.start.tolist()]
+    return torch.stack(drawn)
+
+
+def _empty(begin: Start) -> Optimum:
+    n = len(begin.u)
+    return Optimum(
+        begin.real(begin.u),
+        torch.full((n,), torch.inf, dtype=torch.float64),
+        torch.zeros(n, dtype=torch.int64),
+        torch.zeros(n, dtype=torch.int64),
+        (),
+        torch.empty_like(begin.u),
+        torch.empty_like(begin.shape),
+    )
+
+
+def _ended(rules: dict[str, Tensor], rows: Rows, reasons: list[str]) -> Bool[Tensor, " a"]:
+    """Running starts that a rule ends; the first such rule becomes a start's reason."""
+    names, hits = list(rules), torch.stack(list(rules.values()))
+    for row in hits.any(0).nonzero()[:, 0].tolist():
+        reasons[int(rows.start[row])] = names[int(hits[:, row].int().argmax())]
+    return hits.any(0)
 
 
 def _generation(
@@ -117,8 +133,8 @@ def _generation(
 ) -> Float[Tensor, "a lam"]:
     """Sample, evaluate, select and adapt once, in place; returns the costs, lowest first.
 
-    Sums of products instead of matrix products: the last digits of those depend on a matrix's place in the batch, and
-    for matrices this small their threads cost more than they save.
+    Sums of products instead of matrix products: a matrix product's last digits depend on the matrix's place in the
+    batch. For matrices this small its threads cost more than they save.
     """
     a, lam, d = z.shape
     scaled = z * rows.D[:, None]

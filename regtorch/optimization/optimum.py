@@ -1,4 +1,4 @@
-"""What every optimiser of this folder returns."""
+"""The answer of every optimiser of this folder."""
 
 from dataclasses import dataclass
 

@@ -16,7 +16,7 @@ def kd_partition(
     """Split a box into exactly ``n`` cells of equal volume; returns their lower and upper corners.
 
     Always across the axis whose extent divided by ``scale`` is largest, the first one of equals, and in proportion to
-    the cells on either side. ``scale`` is what counts as equally far in each parameter, in its unit.
+    the cells on either side. ``scale`` is an equally long way in each parameter, in its unit.
     """
     if n < 1:
         raise RegtorchError(f"{n} cells: expected at least one")

@@ -1,4 +1,4 @@
-"""The ``cma`` package (N. Hansen's pycma) behind the same call: for those who trust it, and as the tests' oracle."""
+"""The ``cma`` package (N. Hansen's pycma) behind the same call: for users who trust it, and as the tests' oracle."""
 
 import sys
 import warnings
@@ -12,7 +12,7 @@ from torch import Tensor
 from regtorch.errors import RegtorchError
 from regtorch.optimization.evolution_strategy import Objective
 from regtorch.optimization.optimum import Optimum
-from regtorch.optimization.start import prepare
+from regtorch.optimization.start import Start, prepare
 
 
 def pycma(
@@ -35,9 +35,9 @@ def pycma(
 ) -> Optimum:
     """Minimise from n starts; arguments and errors as in ``cma_es``, population for population in the same calls.
 
-    Bounds and a first covariance are dealt with by the same change of coordinates as there, so pycma itself sees an
-    unbounded problem that starts with a unit step. ``reason`` holds pycma's own names ("tolfun", "tolstagnation");
-    its rules are not quite the tutorial's. numpy's global generator is neither read nor changed.
+    The same change of coordinates as there handles bounds and a first covariance. pycma itself sees an unbounded
+    problem that starts with a unit step. ``reason`` holds pycma's own names ("tolfun", "tolstagnation"); its rules are
+    not quite the tutorial's. numpy's global generator is neither read nor changed.
     """
     import cma  # half a second, for those who ask for it
 
@@ -61,15 +61,31 @@ def pycma(
     ids = range(n) if streams is None else streams
     if len(ids) != n:
         raise RegtorchError(f"{len(ids)} random streams for {n} starts: expected one each")
-    searches = []
-    for stream, v in zip(ids, v_start.numpy(), strict=True):
-        generator = np.random.default_rng([seed, stream])
-        randn = lambda *shape, generator=generator: generator.standard_normal(shape)  # noqa: E731
-        searches.append(cma.CMAEvolutionStrategy(v, 1.0, {**options, "randn": randn}))
+    searches = [
+        cma.CMAEvolutionStrategy(v, 1.0, options | {"randn": _standard_normal(seed, stream)})
+        for stream, v in zip(ids, v_start.numpy(), strict=True)
+    ]
+    best_u, best_cost = _searched(objective, begin, u_from_v, searches, on_generation)
+    return _optimum(begin, u_from_v, searches, best_u, best_cost)
 
+
+def _standard_normal(seed: int, stream: int) -> Callable[..., np.ndarray]:
+    """A generator of its own for a start, in the form of numpy's ``randn``."""
+    generator = np.random.default_rng([seed, stream])
+    return lambda *shape: generator.standard_normal(shape)
+
+
+def _searched(
+    objective: Objective,
+    begin: Start,
+    u_from_v: Float[Tensor, "n d d"],
+    searches: list,
+    on_generation: Callable[[int, int, Float[Tensor, " n"]], None] | None,
+) -> tuple[Float[Tensor, "n d"], Float[Tensor, " n"]]:
+    """Runs all searches to their ends; the best point of each (unfolded) and its cost."""
     best_u = begin.u.clone()
-    best_cost = torch.full((n,), torch.inf, dtype=torch.float64)
-    running, generation = list(range(n)), 0
+    best_cost = torch.full((len(best_u),), torch.inf, dtype=torch.float64)
+    running, generation = list(range(len(best_u))), 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pycma warns of flat costs; its stopping rules act on them
         while running:
@@ -87,7 +103,16 @@ def pycma(
             if on_generation is not None:
                 on_generation(generation, len(running), best_cost)
             running = [i for i in running if not searches[i].stop()]
+    return best_u, best_cost
 
+
+def _optimum(
+    begin: Start,
+    u_from_v: Float[Tensor, "n d d"],
+    searches: list,
+    best_u: Float[Tensor, "n d"],
+    best_cost: Float[Tensor, " n"],
+) -> Optimum:
     mean = u_from_v @ torch.from_numpy(np.stack([s.mean for s in searches]))[:, :, None]
     C = torch.from_numpy(np.stack([s.sigma**2 * s.sm.covariance_matrix for s in searches]))
     to_real = begin.scale[:, :, None] * u_from_v

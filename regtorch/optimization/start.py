@@ -1,4 +1,4 @@
-"""What a search starts from, checked once and brought to coordinates in which every start is alike."""
+"""The starts of a search, checked once and brought to coordinates in which all are alike."""
 
 from dataclasses import dataclass
 

@@ -7,7 +7,7 @@ from regtorch.errors import RegtorchError
 from regtorch.imaging.volume import Volume
 from regtorch.phantom.pelvis import pelvis_parts
 from regtorch.phantom.raster import paint
-from regtorch.phantom.spine import spine
+from regtorch.phantom.spine import drawn_vertebrae
 from regtorch.phantom.thorax import thorax_parts
 from regtorch.phantom.tissue import tissue_parts
 from regtorch.phantom.vertebrae import spine_parts
@@ -35,12 +35,12 @@ def make_phantom(spacing_mm: float = 1.5) -> tuple[Volume, dict[str, tuple[float
         bodies of C7, T1 to T12, L1 to L5 and S1 in LPS mm.
 
     Raises:
-        RegtorchError: for a spacing outside those bounds.
+        RegtorchError: for a spacing outside these bounds.
     """
     if not _FINEST <= spacing_mm <= _COARSEST:
         raise RegtorchError(f"phantom: spacing of {spacing_mm} mm, expected {_FINEST} to {_COARSEST} mm")
     rng = np.random.default_rng(_SEED)
-    vertebrae = spine(rng)
+    vertebrae = drawn_vertebrae(rng)
     parts = [
         *tissue_parts(vertebrae, rng),
         *thorax_parts(vertebrae, rng),

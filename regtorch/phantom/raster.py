@@ -17,10 +17,10 @@ _LATTICE = 61  # cells: the texture repeats after 244 mm, which no multiple of a
 
 @dataclass(frozen=True)
 class Part:
-    """One structure: solids (``shapes.py``), what fills it (HU), and how it is painted over what was there.
+    """One structure: solids (``shapes.py``), its filling (HU), and how it is painted over earlier parts.
 
-    ``shell_hu`` fills the outer ``shell_mm``; ``texture_hu`` is the largest deviation of the core; ``blend_mm`` is over
-    what distance solids of this part melt into each other.
+    ``shell_hu`` fills the outer ``shell_mm``; ``texture_hu`` is the largest deviation of the core; ``blend_mm`` is the
+    distance over which solids of this part melt into each other.
     """
 
     shapes: Float[np.ndarray, "n 28"]
@@ -159,7 +159,7 @@ def _triangle(s, x, y, z):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _measure(distance, origin, spacing, shapes, blend):
-    """Signed distance (mm, negative inside) to the union of ``shapes`` less those that carve, near its surface."""
+    """Signed distance (mm, negative inside) to the union of ``shapes`` less the carving ones, near its surface."""
     nz, ny, nx = distance.shape
     margin = spacing + blend
     for n in range(len(shapes)):
@@ -202,7 +202,7 @@ def _span(low, high, origin, spacing, margin, n):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _fill(volume, distance, origin, spacing, core, shell, thickness, amplitude, lattice):
-    """Replaces what was there by shell and core, in the share of each voxel that they cover."""
+    """Replaces earlier values by shell and core, in the share of each voxel that they cover."""
     nz, ny, nx = volume.shape
     for k in range(nz):
         z0, z1, z = _cell(origin[2] + k * spacing)

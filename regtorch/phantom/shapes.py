@@ -4,7 +4,7 @@ Everything anatomical is made of these four, so that one compiled loop (``raster
 
     kind, carve | box: low xyz, high xyz | point | what the kind needs, in the order of its function
 
-where ``carve`` = 1 takes the solid away from those before it, and the box bounds the solid.
+where ``carve`` = 1 takes the solid away from earlier ones, and the box bounds the solid.
 """
 
 from collections.abc import Sequence
@@ -59,9 +59,9 @@ def drum(
 ) -> Row:
     """Vertebral body, one row: kidney-shaped sections, a waist, dished endplates.
 
-    ``frame`` has the vertebra's left, posterior and superior axes as rows; ``widths`` and ``depths`` (mm) are those of
-    the lower and the upper endplate. ``waist`` is the share of width lost at mid height, ``wedge`` the slope (rise in
-    mm per mm forward) by which either endplate opens to the front, ``dish`` the depth in mm of the endplates' hollow.
+    ``frame`` has the vertebra's left, posterior and superior axes as rows; ``widths`` and ``depths`` (mm) are the lower
+    and the upper endplate's. ``waist`` is the share of width lost at mid height. ``wedge`` is the slope (rise in mm per
+    mm forward) by which either endplate opens to the front. ``dish`` is the depth in mm of the endplates' hollow.
     """
     centre = np.asarray(centre, float)
     a, b = np.asarray(widths, float) / 2, np.asarray(depths, float) / 2

@@ -70,7 +70,7 @@ class Vertebra:
         return (self.size["upper_depth"] + self.size["lower_depth"]) / 4
 
 
-def spine(rng: np.random.Generator) -> dict[str, Vertebra]:
+def drawn_vertebrae(rng: np.random.Generator) -> dict[str, Vertebra]:
     """Vertebrae by name, C7 to Co3, stacked upwards and downwards from the sacral endplate."""
     names, sizes = zip(*(_read(line) for line in (_TABLE + _SACRAL).split("\n") if line), strict=True)
     sizes = [_vary(size, rng) for size in sizes]

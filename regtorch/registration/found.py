@@ -1,4 +1,4 @@
-"""What a search method gives back."""
+"""The answer of a search method."""
 
 from dataclasses import dataclass
 

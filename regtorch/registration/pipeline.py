@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -33,6 +32,8 @@ from regtorch.similarity import gradient_correlation
 _POINTS = 64
 """Points spread over the anatomy, by which moves of the image are measured."""
 
+_SEEDS = 2**32
+
 _LEAST_SHOWN = _POINTS // 8
 """Points that the start must show in the image; with fewer, all points count."""
 
@@ -55,13 +56,12 @@ def register(
     seed: int = 0,
     progress: Progress = lambda share, what: None,
 ) -> Registration:
-    """Find where source, patient and detector stood when a radiograph of the patient in a CT was taken.
+    """Find where source, patient and detector stood when a radiograph of the patient in a CT (HU) was taken.
 
     The same seed gives the same result. A registration that went wrong is no error: its ``status`` is ``failed`` or
     ``doubtful``, and its ``reasons`` say why. Raises ``RegtorchError`` for input that cannot be registered.
 
     Args:
-        ct: In HU.
         radiograph: Line integrals up to gain and offset, as ``read_radiograph`` makes them.
         view: How the patient stands at zero rotation: PA, AP, LLAT (or LAT), RLAT.
         method: ``hybrid``; ``cmaes``, the paper's; or a ``partial`` of either with options of its own.
@@ -70,28 +70,20 @@ def register(
         initial: The nine parameters at the start (mm, rad); unless given, ``initial_parameters`` makes them.
         half_range: How far from the start to look (mm, rad); 0 freezes.
         sdd_mm: Source-detector distance; unless given the radiograph's file says it, or it is 1000 mm.
-        landmark_patient_mm: A point of the CT, LPS mm.
-        landmark_stored: The same point in the radiograph: (column, row) of its file.
+        landmark_patient_mm: A point of the CT, LPS mm; ``landmark_stored`` is its (column, row) in the file.
         threshold_hu: From here on the CT is bone; None: all tissue counts as bone.
         similarity: One of ``regtorch.similarity``; ``hybrid`` takes gradient correlation alone.
-        seed: Of all random numbers.
         progress: Called with the share done and a short text.
     """
     began = time.perf_counter()
-    if not 0 <= seed < 2**32:
-        raise RegtorchError(f"seed {seed}: expected a whole number from 0 to {2**32 - 1}")
-    _check_radiograph(radiograph)
-    _check_nine(initial=initial, half_range=half_range)
-    if initial is not None and not (sdd_mm is landmark_patient_mm is landmark_stored is None):
-        raise RegtorchError("initial parameters as well as an SDD or a landmark: expected either")
-    sdd_known = not (initial is None and sdd_mm is None)
-    looks_wrong = [f"{ct.name}: {line}" for line in check_volume(ct)]
-    looks_wrong += [f"{radiograph.name}: {line}" for line in check_radiograph(radiograph, sdd_known=sdd_known)]
+    _check(radiograph, seed, initial=initial, half_range=half_range)
+    looks_wrong = _looks_wrong(ct, radiograph, sdd_known=not (initial is None and sdd_mm is None))
+    known = sdd_mm, landmark_patient_mm, landmark_stored
     if initial is None:
-        initial = _start(ct, radiograph, view, sdd_mm, landmark_patient_mm, landmark_stored)
-    attenuating, whole = (_attenuating(ct, least) for least in (threshold_hu, None))
-    if not bool(whole.data.sum().isfinite()):
-        raise RegtorchError(f"{ct.name}: voxels that are NaN or infinite, expected HU everywhere")
+        initial = _start(ct, radiograph, view, *known)
+    elif known != (None, None, None):
+        raise RegtorchError("initial parameters as well as an SDD or a landmark: expected either")
+    attenuating, whole = _bone_and_all_tissue(ct, threshold_hu)
     problem = Problem(
         attenuating=attenuating,
         threshold_hu=threshold_hu,
@@ -105,11 +97,10 @@ def register(
         progress=progress,
         coordinates=coordinates,
     )
-    result = _judged(problem, method(problem), looks_wrong)
-    return replace(result, seconds=time.perf_counter() - began)
+    return _judged(problem, method(problem), looks_wrong, began)
 
 
-def _judged(problem: Problem, found: Found, looks_wrong: list[str]) -> Registration:
+def _judged(problem: Problem, found: Found, looks_wrong: list[str], began: float) -> Registration:
     status, message, reasons = judge(found.evidence)
     return Registration(
         parameters=found.parameters,
@@ -133,11 +124,17 @@ def _judged(problem: Problem, found: Found, looks_wrong: list[str]) -> Registrat
         origin_patient_mm=problem.attenuating.origin_patient_mm,
         device=str(problem.attenuating.data.device),
         seed=problem.seed,
+        seconds=time.perf_counter() - began,
     )
 
 
-def _attenuating(ct: Volume, threshold_hu: float | None) -> Volume:
-    return attenuation(crop_to_anatomy(ct, threshold_hu=threshold_hu), threshold_hu=threshold_hu)
+def _bone_and_all_tissue(ct: Volume, threshold_hu: float | None) -> tuple[Volume, Volume]:
+    bone, whole = (
+        attenuation(crop_to_anatomy(ct, threshold_hu=least), threshold_hu=least) for least in (threshold_hu, None)
+    )
+    if not bool(whole.data.sum().isfinite()):
+        raise RegtorchError(f"{ct.name}: voxels that are NaN or infinite, expected HU everywhere")
+    return bone, whole
 
 
 def _start(
@@ -171,7 +168,16 @@ def _searched(initial: Float[Tensor, "9"], half_range: Float[Tensor, "9"] | None
     return Range(initial.double(), half_range)
 
 
-def _check_nine(**given: Float[Tensor, "9"] | None) -> None:
+def _looks_wrong(ct: Volume, radiograph: Radiograph, *, sdd_known: bool) -> list[str]:
+    """One line each, for a result's warnings."""
+    lines = [f"{ct.name}: {line}" for line in check_volume(ct)]
+    return lines + [f"{radiograph.name}: {line}" for line in check_radiograph(radiograph, sdd_known=sdd_known)]
+
+
+def _check(radiograph: Radiograph, seed: int, **given: Float[Tensor, "9"] | None) -> None:
+    if not 0 <= seed < _SEEDS:
+        raise RegtorchError(f"seed {seed}: expected a whole number from 0 to {_SEEDS - 1}")
+    _check_radiograph(radiograph)
     for name, numbers in given.items():
         if numbers is not None and not (numbers.shape == (len(NAMES),) and bool(numbers.isfinite().all())):
             raise RegtorchError(f"{name} of {numbers.tolist()}: expected nine finite numbers")
@@ -195,7 +201,7 @@ def _check_radiograph(radiograph: Radiograph) -> None:
 
 
 def _unstored(radiograph: Radiograph, stored: Point2) -> Point2:
-    """(column, row) of the image seen from the source, for those of the file."""
+    """(column, row) of the image seen from the source, from (column, row) of the file."""
     size = torch.tensor([radiograph.detector.columns, radiograph.detector.rows], dtype=torch.float64)
     columns, rows = (radiograph.stored_from_pixel[:2, :2].abs() @ size).int().tolist()
     if not (-0.5 <= stored[0] <= columns - 0.5 and -0.5 <= stored[1] <= rows - 0.5):

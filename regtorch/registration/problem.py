@@ -1,4 +1,4 @@
-"""What every search method gets, and what it gives back."""
+"""The problem that every search method gets."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What a registration found, how sure that is, and what it cost."""
+"""The result of a registration: the answer, its uncertainty and its cost."""
 
 import math
 from dataclasses import asdict, dataclass

@@ -19,7 +19,7 @@ from regtorch.geometry import (
     world_from_patient_axes,
 )
 from regtorch.imaging import Volume
-from regtorch.imaging.attenuation import BODY_HU, corners_ct
+from regtorch.imaging.hounsfield import BODY_HU, corners_ct
 
 SDD_MM = 1000.0
 """Source-detector distance where nothing tells it, as in the paper."""

@@ -1,4 +1,4 @@
-"""What a search did, step by step, and at what cost."""
+"""The steps of a search and their cost."""
 
 import time
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ class Trace:
     _before: int = 0
 
     def add(self, name: str, pixels: int, candidates: int, similarity: float) -> None:
-        """End a step: what was looked at since the last one is its cost."""
+        """End a step: its cost is everything since the last one."""
         now = time.perf_counter()
         self.steps.append(
             Step(name, pixels, candidates, similarity, self.evaluations - self._before, now - self._since)

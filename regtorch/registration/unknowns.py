@@ -127,10 +127,11 @@ def selection(searched: Range) -> Unknowns:
 def detector_frame(searched: Range) -> Unknowns:
     """The paper's alternative (section 1): source ``(x, y, z)_s`` and detector ``(x, y, z, eta, theta, phi)_d``.
 
-    Both are given in the patient's frame: its origin is the CT's centre, its axes are the view's at zero rotation.
-    With R = R(eta, theta, phi) and t the patient's pose in the ``world`` frame, the detector's pose is R^T and -R^T t,
-    and the source lies at R^T ((x, y, z)_s - t). The box is the smallest that holds the range of the nine parameters.
-    Raises ``RegtorchError`` where one of the nine is frozen: freezing them has no meaning in these coordinates.
+    Both are given in the patient's frame: its origin is the CT's centre, its axes are the view's at zero rotation. Let
+    R = R(eta, theta, phi) and t be the patient's pose in the ``world`` frame. Then the detector's pose is R^T and -R^T
+    t, and the source lies at R^T ((x, y, z)_s - t). The box is the smallest that holds the range of the nine
+    parameters. Raises ``RegtorchError`` where one of the nine is frozen: freezing them has no meaning in these
+    coordinates.
     """
     if len(searched.free) < len(NAMES):
         frozen = ", ".join(name for index, name in enumerate(NAMES) if index not in searched.free)

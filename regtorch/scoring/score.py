@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.batches import at_once
 from regtorch.drr import cpu, triton
 from regtorch.drr.rendering import Backend, Method, chosen_backend, rays_of
 from regtorch.errors import RegtorchError
@@ -20,10 +21,6 @@ from regtorch.similarity.gram import (
     gradient_gram,
 )
 from regtorch.similarity.triton import gradient_gram as gradient_gram_triton
-
-_PIXELS_AT_ONCE = {"cpu": 1 << 22}
-_PIXELS_ELSEWHERE = 1 << 26
-_POSES_AT_ONCE = 4096
 
 
 def gradient_correlations(
@@ -61,8 +58,8 @@ def normal_equations(
 ) -> NormalEquations:
     """As ``gradient_correlations``, with J^T J [*b, p, p] and J^T r [*b, p] by the parameters ``free`` (None: all).
 
-    r is the difference of the normalised gradient images, |r|^2 = 4 (1 - similarity), J its exact derivative
-    (per mm, per rad), which is stored for a few rows of one image at a time.
+    r is the difference of the normalised gradient images, with |r|^2 = 4 (1 - similarity). J is its exact derivative
+    (per mm, per rad), stored for a few rows of one image at a time.
     """
     free = list(range(9)) if free is None else free
     found = _scored(volume, parameters, detector, view, fixed, weight, free, method, backend)
@@ -82,10 +79,9 @@ def _scored(
 ) -> NormalEquations:
     chosen = chosen_backend(volume, parameters, method, backend)
     gradients = _prepared(volume, detector, fixed, weight)
-    pixels = _PIXELS_AT_ONCE.get(volume.data.device.type, _PIXELS_ELSEWHERE)
-    at_once = max(1, min(_POSES_AT_ONCE, pixels // ((1 + len(free)) * detector.rows * detector.columns)))
+    numbers_each = (1 + len(free)) * detector.rows * detector.columns
     found = []
-    for some in parameters.detach().reshape(-1, 9).split(at_once):
+    for some in parameters.detach().reshape(-1, 9).split(at_once(numbers_each, volume.data.device.type)):
         rays = rays_of(volume, some, detector, view)
         by_free = ray_jacobian(some, detector, view, volume.voxel_from_ct)[..., free].to(rays) if free else None
         gram, magnitude = _gram(chosen, method, volume, rays, by_free, gradients)

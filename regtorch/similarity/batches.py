@@ -6,11 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.batches import at_once
 from regtorch.errors import RegtorchError
-
-# A chunk that stays in a CPU's cache is several times faster than one that does not; a GPU wants large ones.
-_PIXELS = {"cpu": 2**22}
-_PIXELS_ELSEWHERE = 2**26
 
 
 def over_images(
@@ -24,7 +21,7 @@ def over_images(
     for name, image in (("fixed image", fixed), ("weight", weight)):
         if image is not None and image.shape != (h, w):
             raise RegtorchError(f"{name} of shape {tuple(image.shape)}: expected {(h, w)}, that of the moving images")
-    chunks = moving.reshape(-1, h, w).split(max(1, _PIXELS.get(moving.device.type, _PIXELS_ELSEWHERE) // (h * w)))
+    chunks = moving.reshape(-1, h, w).split(at_once(h * w, moving.device.type))
     results = [values(chunk) for chunk in chunks]
     joined = results[0] if len(results) == 1 else torch.cat(results)
     return joined.reshape((*moving.shape[:-2], *joined.shape[1:]))

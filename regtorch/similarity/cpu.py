@@ -9,7 +9,7 @@ from numba import get_num_threads, njit, prange
 from torch import Tensor
 
 IN_CACHE = 1 << 17
-"""Floats that a core's second-level cache holds beside what else is read."""
+"""Floats that a core's second-level cache holds beside everything else."""
 
 _ROWS = 130
 _GRADIENTS = 8192
@@ -93,7 +93,7 @@ def band_gram(padded, row0, row1, fixed, root, gradients, sums):
 @njit(nogil=True, fastmath={"contract"})
 @no_type_check
 def _differentiate(above, columns, pixels, root, dx, dy):
-    """Sobel's derivatives over 8, times ``root``, of the rows after the first of those in ``above``.
+    """Sobel's derivatives over 8, times ``root``, of the rows after the first one in ``above``.
 
     In one loop over all rows as if they were one, after which each row's ends are set right: borders are replicated.
     """
@@ -128,5 +128,5 @@ def _dot(a, b, n):
 @njit(nogil=True)
 @no_type_check
 def gradient_scratch(images, columns):
-    """Room [2, images, pixels] for a few rows of gradients: what the fastest cache holds."""
+    """Room [2, images, pixels] for a few rows of gradients: the fastest cache holds as much."""
     return np.empty((2, images, max(1, _GRADIENTS // (images * columns)) * columns), np.float32)

@@ -38,7 +38,7 @@ def gradient_correlation(
 def gradient_correlation_image(
     moving: Float[Tensor, "*b h w"], fixed: Float[Tensor, "h w"], *, weight: Float[Tensor, "h w"] | None = None
 ) -> Float[Tensor, "*b h w"]:
-    """What each pixel adds to ``gradient_correlation``, as in figure 7: an image's pixels sum to its value."""
+    """Each pixel's share of ``gradient_correlation``, as in figure 7: an image's pixels sum to its value."""
 
     def values(images: Float[Tensor, "n h w"]) -> Float[Tensor, "n h w"]:
         pairs = _centred_gradients(images, fixed, weight)

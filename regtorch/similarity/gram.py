@@ -1,8 +1,8 @@
 """Gradient correlation and its normal equations from products of gradient images alone.
 
-For one direction let m, f and g_1 ... g_p be the gradients of the moving and the fixed image and of the moving image's
-derivatives, each times the root of the weight, and r that root. With m' and g_i' less their weighted means,
-M = m'/|m'|, F = f'/|f'| and rho = M F, the residual M - F has the derivative J_i = (g_i' - M (M g_i')) / |m'|, so
+Take one direction, and multiply all gradients by r, the root of the weight: m is the moving image's gradient, f the
+fixed image's, and g_1 to g_p those of the moving image's derivatives. A prime takes off the weighted mean. Let
+M = m'/|m'|, F = f'/|f'| and rho = M F. The residual M - F has the derivative J_i = (g_i' - M (M g_i')) / |m'|, so
 
     J_i J_j = (g_i' g_j' - (M g_i') (M g_j')) / |m'|^2        J_i (M - F) = (rho (M g_i') - F g_i') / |m'|.
 

@@ -45,5 +45,5 @@ def centred_(
 
 
 def peak(images: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:
-    """Largest magnitude in each image: what its rounding is relative to."""
+    """Largest magnitude in each image: its rounding is relative to this."""
     return torch.linalg.vector_norm(images.detach(), torch.inf, dim=(1, 2))

@@ -18,7 +18,7 @@ def normalized_mutual_information(
     """(H(moving) + H(fixed)) / H(moving, fixed): 1 for independent images, 2 for images that determine each other.
 
     Each image's range is divided evenly into ``bins``; a value counts in the two bins nearest to it, linearly (a
-    Parzen window of order one). ``weight`` (not negative) is what a pixel counts; where it is zero the pixel does not
+    Parzen window of order one). ``weight`` (not negative) is a pixel's weight; where it is zero the pixel does not
     set the range either. Unchanged by positive gain and offset; 1 where an image does not vary. All tensors share
     dtype and device. Differentiable almost everywhere. Raises ``RegtorchError`` for different shapes.
     """

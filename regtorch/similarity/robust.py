@@ -21,10 +21,10 @@ def explained_weight(
 ) -> Float[Tensor, "h w"]:
     """``weight`` times floor / (floor + e), e the residual of the gradients' energy about a pixel over its mean.
 
-    What is left of the fixed image's gradients after the moving image's, fitted to them by least squares, is squared
-    and averaged over ``width_px`` (standard deviation). It is the variance that a pixel's gradients have for a reason
-    that no pose can mend: a wire, a letter, an organ that has moved, few photons. Weighing by its inverse is one step
-    of iteratively reweighted least squares; where all is explained alike, all counts alike.
+    The moving image's gradients are fitted to the fixed image's by least squares. Their residual is squared and
+    averaged over ``width_px`` (standard deviation). It is the variance that a pixel's gradients have for a reason that
+    no pose can mend: a wire, a letter, an organ that has moved, few photons. Weighing by its inverse is one step of
+    iteratively reweighted least squares; where all is explained alike, all counts alike.
     """
     tiny = torch.finfo(weight.dtype).tiny
     counts = gradient_weight(weight)  # beside a mask gradients are those of its edge

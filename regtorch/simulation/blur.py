@@ -1,4 +1,4 @@
-"""What blurs a radiograph: detector, focal spot and scattered photons, each a Gaussian in the intensity."""
+"""The blur of a radiograph: detector, focal spot and scattered photons, each a Gaussian in the intensity."""
 
 import math
 
@@ -52,9 +52,9 @@ def add_scatter(
     """Line integrals under a haze of photons that the patient scattered.
 
     They come from p exp(-p), what is scattered once and gets out (Ohnesorge et al. 1999): air sends none. They are
-    spread by a Gaussian of standard deviation ``width_mm`` in the detector plane, and ``scatter_to_primary`` is their
-    ratio behind a wide uniform patient of 20 cm of water (p = 4); it grows as p does. I0 stays that of the primary
-    beam, so bare detector beside a patient may go below 0.
+    spread by a Gaussian of standard deviation ``width_mm`` in the detector plane. ``scatter_to_primary`` is their ratio
+    behind a wide uniform patient of 20 cm of water (p = 4); it grows as p does. I0 stays that of the primary beam, so
+    bare detector beside a patient may go below 0.
     """
     _check(scatter_to_primary, "scatter-to-primary ratio", unit="")
     _check(width_mm, "scatter width")

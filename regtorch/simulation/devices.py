@@ -1,4 +1,4 @@
-"""What else the beam meets: wires and catheters across the image and one dense block, as of an instrument."""
+"""Other things in the beam: wires and catheters across the image and one dense block, as of an instrument."""
 
 import math
 from itertools import pairwise
@@ -28,7 +28,7 @@ def add_devices(
 ) -> tuple[Float[Tensor, "h w"], Bool[Tensor, "h w"]]:
     """Line integrals with ``count`` curved wires from border to border, and the pixels that any device covers.
 
-    All sizes are those of the shadows, in mm in the detector plane. A wire is a cylinder of a diameter drawn from
+    All sizes are the shadows', in mm in the detector plane. A wire is a cylinder of a diameter drawn from
     ``width_mm``, whose chord adds ``metal_per_mm`` for every mm; the block is a rectangle of at most 12 x 30 mm.
     """
     if not (count >= 0 and 0 < width_mm[0] <= width_mm[1] < math.inf):

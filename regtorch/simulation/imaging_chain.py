@@ -40,7 +40,7 @@ def realistic(
     full_scale: float = 0.5,
     text: str = "R",
 ) -> Simulation:
-    """``simulate`` of the whole CT and then, in this order, what happens to the beam and to its image.
+    """``simulate`` of the whole CT and then, in their order, the effects on the beam and on its image.
 
     Soft tissue moves, bones stay; devices; focal spot; scatter; photons are counted; the detector's blur (which the
     noise shares), gain, and range, which air overexposes; letters. An effect whose argument is 0, None or "" is left

@@ -1,4 +1,4 @@
-"""What makes a radiograph unlike a line integral."""
+"""Quantum noise."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What the detector's electronics make of an intensity: gain, offset, and a count of limited range."""
+"""The detector's electronics: gain, offset, and a count of limited range."""
 
 import math
 
@@ -17,7 +17,7 @@ def add_gain_and_offset(
     gain_rms: float = 0.005,
     generator: torch.Generator,
 ) -> Float[Tensor, "*b h w"]:
-    """Line integrals of a signal gain I + offset: what is left of both when the detector was not calibrated well.
+    """Line integrals of a signal gain I + offset: the rest of both in a badly calibrated detector.
 
     ``gain`` is that of the whole detector, about which pixels scatter by the share ``gain_rms``; ``offset`` is a dark
     signal, as a share of the open beam.

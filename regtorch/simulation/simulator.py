@@ -14,7 +14,7 @@ from regtorch.drr import render
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, parameters_to_dict, pixel_from_patient, project, world_from_ct
 from regtorch.imaging import BONE_HU, Volume, attenuation
-from regtorch.imaging.attenuation import BODY_HU, corners_ct, crop_to_anatomy
+from regtorch.imaging.hounsfield import BODY_HU, corners_ct, crop_to_anatomy
 from regtorch.imaging.points import spread_points
 from regtorch.simulation.noise import add_quantum_noise
 
@@ -29,7 +29,7 @@ _DRAWS = 100
 
 @dataclass(frozen=True)
 class Simulation:
-    """``image``: line integrals seen from the source. ``targets`` (LPS mm) are those that the image shows."""
+    """``image``: line integrals seen from the source. ``targets`` (LPS mm) are the ones in the image."""
 
     image: Float[Tensor, "h w"]
     parameters: Float[Tensor, "9"]
@@ -96,7 +96,7 @@ def simulate(
     targets: Mapping[str, tuple[float, float, float]] | None = None,
     seed: int = 0,
 ) -> Simulation:
-    """Render a radiograph by Siddon's method, from the whole CT or what is left above ``threshold_hu``.
+    """Render a radiograph by Siddon's method, from the whole CT or its voxels above ``threshold_hu``.
 
     ``photons`` per pixel of the open beam adds quantum noise, drawn from ``seed``. ``targets`` (LPS mm) default to
     points spread over the bones; raises ``RegtorchError`` when the image shows none of them.

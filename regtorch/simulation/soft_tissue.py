@@ -14,7 +14,7 @@ _WAVES = 48
 _NODES_PER_WAVE = 12
 """Nodes of the field's grid per wavelength: between them it is interpolated to 3 % at worst."""
 _TISSUE_HU = -300.0
-"""What is denser, and no bone, is soft tissue; the rest is lung and air."""
+"""Denser voxels outside bone are soft tissue; the rest is lung and air."""
 _SLAB = 16
 
 
@@ -29,7 +29,7 @@ def move_soft_tissue(
 ) -> Volume:
     """The CT (HU) with all but its bones warped by a smooth random field of ``rms_mm`` RMS length over the body.
 
-    The field is a sum of plane waves, each ``wavelength_mm`` to twice that long. Bone is what lies over ``bone_hu``,
+    The field is a sum of plane waves, each ``wavelength_mm`` to twice that long. Bone is everything over ``bone_hu``,
     with holes up to ``rim_mm`` closed: it keeps its values exactly, and so does soft tissue within ``rim_mm`` of it.
     Before the warp the soft tissue around it is continued into where it is, so that none of the bone moves along.
     """
@@ -91,7 +91,7 @@ def _dilated(mask: Bool[Tensor, "d h w"], radii: list[int]) -> Bool[Tensor, "d h
 def _fill(data: Float[Tensor, "d h w"], bone: Bool[Tensor, "d h w"], name: str) -> Float[Tensor, "d h w"]:
     """Soft tissue in the place of bone: its average over the smallest block, 2^n voxels wide, that holds any.
 
-    Lung is not continued: next to a rib that stays, what comes from within it is tissue and no gap.
+    Lung is not continued: next to a rib that stays, the tissue that comes from within it leaves no gap.
     """
     known = (data > _TISSUE_HU) & ~bone
     if not bool(known.any()):

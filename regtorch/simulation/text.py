@@ -24,7 +24,7 @@ def add_text(
     """Line integrals with letters in Pillow's own font, all of one value, and the pixels that they replace.
 
     ``place`` is where the upper left corner of the letters lies, as shares of the image's height and width;
-    ``height_mm`` is the height of what is drawn. The value is the image's highest unless ``line_integral`` is given.
+    ``height_mm`` is the height of the letters. The value is the image's highest unless ``line_integral`` is given.
     """
     if not text.strip() or not 0 < height_mm < math.inf:
         raise RegtorchError(f"text {text!r} of {height_mm:g} mm: expected letters and a positive height")
@@ -42,7 +42,7 @@ def add_text(
 
 
 def _letters(text: str, height: int) -> Bool[Tensor, "h w"]:
-    """What is drawn, ``height`` pixels high and cut to it."""
+    """The letters, ``height`` pixels high and cut to it."""
     font = ImageFont.load_default(4 * height)
     left, top, right, bottom = font.getbbox(text)
     canvas = Image.new("L", (math.ceil(right - left) + 2, math.ceil(bottom - top) + 2))

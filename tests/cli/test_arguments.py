@@ -9,7 +9,7 @@ import pytest
 from regtorch.arguments import parser
 from regtorch.geometry import VIEWS, Detector
 from regtorch.imaging import BONE_HU
-from regtorch.registration.initial import SEARCH
+from regtorch.registration.start import SEARCH
 from regtorch.simulation.simulator import DETECTOR, RANGES
 
 from .commands import REGISTER

@@ -49,7 +49,7 @@ def test_a_bounded_number_of_samples_at_once_and_the_same_result(method, monkeyp
     monkeypatch.setitem(reference._RULES, method, counted)
     for samples, at_most in ((1, 1), (500, 10), (1 << 23, 30)):
         rays_at_once.clear()
-        monkeypatch.setattr(reference, "_SAMPLES_AT_ONCE", samples)
+        monkeypatch.setattr("regtorch.batches._NUMBERS", {"cpu": max(1, samples // 2)})
         torch.testing.assert_close(render(volume, poses, detector, method=method, backend="torch"), whole)
         assert max(rays_at_once) <= at_most
         assert sum(rays_at_once) == whole.numel()

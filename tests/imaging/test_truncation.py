@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from regtorch.imaging import Volume, continued
-from regtorch.imaging.attenuation import BONE_HU, MU_WATER_PER_MM
+from regtorch.imaging.hounsfield import BONE_HU, MU_WATER_PER_MM
 
 WATER = MU_WATER_PER_MM
 SPACING = (2.0, 3.0, 4.0)

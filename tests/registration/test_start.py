@@ -6,7 +6,7 @@ import torch
 from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, pixel_from_patient, project, world_from_ct
 from regtorch.imaging import Volume
-from regtorch.imaging.attenuation import BODY_HU, corners_ct
+from regtorch.imaging.hounsfield import BODY_HU, corners_ct
 from regtorch.registration import initial_parameters
 from regtorch.registration.start import SDD_MM, SEARCH, check_in_front
 

@@ -140,7 +140,7 @@ def test_any_batch_shape_and_chunks_alike(monkeypatch):
     whole = gradient_correlation(moving, fixed)
     assert whole.shape == (2, 5)
     assert gradient_correlation(moving[0, 0], fixed).shape == ()
-    monkeypatch.setattr("regtorch.similarity.batches._PIXELS", {"cpu": 3 * 12 * 13})
+    monkeypatch.setattr("regtorch.batches._NUMBERS", {"cpu": 3 * 12 * 13})
     torch.testing.assert_close(gradient_correlation(moving, fixed), whole)
     assert gradient_correlation_image(moving, fixed).shape == moving.shape
 

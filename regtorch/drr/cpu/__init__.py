@@ -1,6 +1,6 @@
 """Fused CPU projectors (numba): values, exact derivatives by the rays, and adjoints, of every method.
 
-What kernels call ``spacing`` are the six numbers of ``Volume.grid``: voxel sizes in mm, then sharpness.
+Kernels call the six numbers of ``Volume.grid`` ``spacing``: voxel sizes in mm, then sharpness.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ _SHARES = 4
 
 
 def why_not(data: Tensor, method: str) -> str:
-    """What keeps this backend from rendering; empty when nothing does."""
+    """The reason why this backend cannot render; empty when nothing does."""
     if data.device.type != "cpu" or data.dtype != torch.float32:
         return f"a volume of {data.dtype} on {data.device}, expected torch.float32 on cpu"
     return ""

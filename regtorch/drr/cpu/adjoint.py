@@ -1,4 +1,4 @@
-"""The adjoint of Joseph's method: what every voxel counts in weighted images."""
+"""The adjoint of Joseph's method: the weight of every voxel in weighted images."""
 
 import math
 from typing import no_type_check

@@ -138,7 +138,7 @@ def ray_pull_back(exact, data, spacing, rays, weights, partial, threads):
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def ray_adjoint(exact, data, spacing, rays, weights, adjoints):
-    """Into ``adjoints`` [n, c, d, h, w], to be summed over n: what every voxel counts in images times ``weights``."""
+    """Into ``adjoints`` [n, c, d, h, w], to be summed over n: the weight of every voxel in images times ``weights``."""
     poses, channels, rows, columns = weights.shape
     shares = adjoints.shape[0]
     for share in prange(shares):

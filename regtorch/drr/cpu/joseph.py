@@ -1,13 +1,13 @@
-"""Joseph's method (Joseph 1982) over tiles of pixels: values, and what they change by when a ray's ends move.
+"""Joseph's method (Joseph 1982) over tiles of pixels: values, and their derivatives by a ray's ends.
 
-A tile's rays are followed together, slice by slice across their main axis m. Between the four corner rays lies the
-whole tile, so a summed-area table of "anything here" tells in four reads whether a slice can be skipped. What is left
-is done in three loops, of which the first and the last become vector instructions: positions and offsets; reads, one
-group of four voxels each; sums.
+A tile's rays are followed together, slice by slice across their main axis m. The whole tile lies between its four
+corner rays. Four reads of a summed-area table of "anything here" tell whether a slice can be skipped. Three loops do
+the rest; the first and the last become vector instructions: positions and offsets; reads, one group of four voxels
+each; sums.
 
 On slice k a ray is at (a0 + k da, b0 + k db). Its integral is L T, T = sum of f over slices, L the length per slice.
-With f_a, f_b the derivatives of a bilinear value, the four sums of f_a, f_b, (k - S_m) f_a and (k - S_m) f_b give the
-derivative by source S and pixel P: from da = (P_a - S_a) / D, D = P_m - S_m, and a0 = S_a - S_m da follow
+Let f_a and f_b be the derivatives of a bilinear value. The sums of f_a, f_b, (k - S_m) f_a and (k - S_m) f_b give the
+derivative by source S and pixel P: take da = (P_a - S_a) / D, D = P_m - S_m, and a0 = S_a - S_m da. Then
 d a(k) = dS_a - da dS_m + (k - S_m) d da and d da = (dP_a - dS_a - da (dP_m - dS_m)) / D. For precision the moments
 are taken about the middle of the volume and moved to the source at the end.
 """
@@ -59,8 +59,8 @@ _LOW_A, _HIGH_A, _LOW_B, _HIGH_B, _INSIDE = (SLICES * i for i in range(5))
 def follow(stacks, spacing, main, ray, row0, column0, rows, room, slopes):
     """``rows`` rows of a tile, or one pixel if 0, along one main axis.
 
-    Values go into the scratch at TOTAL + c N for channel c, derivatives by source and pixel, along ``in_plane(main)``
-    and ``main``, into ``slopes`` at c PER_CHANNEL + SOURCE_A ... PIXEL_M, unless that is None.
+    Values of channel c go into the scratch at TOTAL + c N. Derivatives by source and pixel, along ``in_plane(main)``
+    and ``main``, go into ``slopes`` at c PER_CHANNEL + SOURCE_A ... PIXEL_M, unless that is None.
     """
     s, offset, groups, four, boxes = room
     all_groups, all_tables, sizes = stacks
@@ -297,7 +297,7 @@ def _add(s, slopes, four, c, q, share, from_middle):
 @njit(nogil=True)
 @no_type_check
 def _add_ends(s, slopes, four, c, k, source, count):
-    """What the slice adds when source or pixel, where one lies in it, moves along the main axis."""
+    """The slice's share when a source or pixel inside it moves along the main axis."""
     half, zero = np.float32(0.5), np.float32(0)
     for q in range(count):
         value = _value(s, four, q) if s[SHARE + q] > zero else zero

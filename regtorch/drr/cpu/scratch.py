@@ -1,4 +1,4 @@
-"""What a thread works in while it follows a tile's rays: how large tiles are, and where in the arrays things lie."""
+"""A thread's memory while it follows a tile's rays: how large tiles are, and where in the arrays things lie."""
 
 from typing import no_type_check
 

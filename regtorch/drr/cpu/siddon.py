@@ -12,11 +12,11 @@ from numba import njit
 def siddon(data, spacing, ray, row, column, value, slopes, adjoint, weight):
     """One ray through ``data`` [c, d, h, w]: its integrals into ``value`` [c].
 
-    Unless None: their derivatives by source and pixel (i, j, k each) into ``slopes`` [c, 6], and ``weight`` [c] times
-    what each voxel counts, added to ``adjoint`` [c, d, h, w].
+    Unless None: their derivatives by source and pixel (i, j, k each) go into ``slopes`` [c, 6]. ``weight`` [c] times
+    each voxel's length is added to ``adjoint`` [c, d, h, w].
 
-    A face of axis x is crossed at t = (face - S_x) / d_x, so dt = ((t - 1) dS_x - t dP_x) / d_x, and the integral
-    changes by (what lies before it - what lies behind it) dt.
+    A face of axis x is crossed at t = (face - S_x) / d_x, so dt = ((t - 1) dS_x - t dP_x) / d_x. The integral changes
+    by (value before it - value behind it) dt.
     """
     size = (data.shape[3], data.shape[2], data.shape[1])
     d = (

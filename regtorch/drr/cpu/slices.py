@@ -8,13 +8,13 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 BLOCK = 4
-"""Side of the blocks of cells that the table of what is occupied tells apart."""
+"""Side of the blocks of cells in the table of occupied cells."""
 
 BORDER = 2
-"""Voxels of air around a slice: what is read for a ray outside has neither value nor slope."""
+"""Voxels of air around a slice: a read outside has neither value nor slope."""
 
 _SLICES_AT_ONCE = 16
-"""Neighbours along the axis that lies contiguous in memory come in one line of a cache, whichever axis that is."""
+"""Neighbours along the axis that is contiguous in memory come in one cache line."""
 
 _prepared = WeakTensorKeyDictionary()
 
@@ -55,8 +55,8 @@ def _stacked(across: np.ndarray) -> Slices:
 def _interleave(across, pairs, blocks):
     """Each slice with its border of air, interleaved with its next row; and where blocks of cells hold any.
 
-    A cell lies between four voxels, and belongs to a block one row and one column further on in ``blocks``, so that
-    these become summed-area tables with a first row and column of zeros.
+    A cell lies between four voxels. It belongs to a block one row and one column further on in ``blocks``: summed-area
+    tables begin with a row and a column of zeros.
     """
     c, n, h, w = across.shape
     for chunk in prange((n + _SLICES_AT_ONCE - 1) // _SLICES_AT_ONCE):

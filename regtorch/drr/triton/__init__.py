@@ -1,8 +1,8 @@
 """Projectors on a GPU, each pixel's line integral and its derivatives in one pass: the torch side.
 
-``kernels.py`` has what runs on the device: Triton, for any GPU that Triton knows, and for none at all with
-``TRITON_INTERPRET=1``. Nothing here waits for the device or looks at a number on it, so a function whose arguments
-are all there can be captured in a CUDA graph (after one call, which compiles); every call gives the same bits.
+``kernels.py`` holds the kernels on the device: Triton, for any GPU that Triton knows, and for none at all with
+``TRITON_INTERPRET=1``. Nothing here waits for the device or reads a number from it. So a function can be captured in a
+CUDA graph, after one call that compiles it; every call gives the same bits.
 
 Shared arguments: ``data`` in float32 with axes k, j, i, and one of classes before them or none; ``rays`` of
 ``cone_beam_rays`` and ``grid`` of the volume in float64; ``method`` "joseph", "siddon" or "trilinear".
@@ -21,7 +21,7 @@ _TILE_ROWS, _TILE_COLUMNS = 8, 16
 
 
 def why_not(data: Tensor, method: str) -> str:
-    """What keeps this backend from rendering; empty when nothing does."""
+    """The reason why this backend cannot render; empty when nothing does."""
     if method not in _METHODS:
         return f"method {method!r}, expected one of {', '.join(map(repr, _METHODS))}"
     if data.dtype != torch.float32:
@@ -92,8 +92,8 @@ def pull_back_data(
 ) -> Float[Tensor, "*c d h w"]:
     """The derivative by the volume of a scalar whose derivative by the images is given: the adjoint of ``project``.
 
-    Many rays add to one voxel, in an order that is not fixed. What they add is therefore made whole numbers of 64
-    bits, whose sum knows no order; the unit is the smallest for which no voxel can overflow.
+    Many rays add to one voxel, in an order that is not fixed. Their summands are therefore whole numbers of 64 bits,
+    whose sum has no order; the unit is the smallest for which no voxel can overflow.
     """
     # A ray crosses a voxel, or one of trilinear's tents two voxels wide, on less than twice the voxel's diagonal.
     most = 4 * grid[0].norm() * image_gradients.abs().sum(dtype=torch.float64)

@@ -9,7 +9,7 @@ import triton.language as tl
 @triton.jit
 @no_type_check
 def cross_box(si, sj, sk, di, dj, dk, lower, upper_i, upper_j, upper_k):
-    """The t in [0, 1] between which s + t d is in a box, and the axis of the face it comes in and goes out by.
+    """The t in [0, 1] where s + t d enters and leaves a box, and the axis of either face.
 
     The axis is -1 where the ray starts or ends inside. Where a ray misses the box both t are the same.
     """

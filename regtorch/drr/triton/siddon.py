@@ -95,7 +95,7 @@ def _due(source, direction, index, step):
 @triton.jit
 @no_type_check
 def _faces(came_by, goes_by, t0, t1, AXIS: tl.constexpr):
-    """What a voxel of one counts for among the faces of one axis, and the same times t."""
+    """The weight of a voxel of value one among the faces of one axis, and the same times t."""
     came, goes = tl.where(came_by == AXIS, 1.0, 0.0), tl.where(goes_by == AXIS, 1.0, 0.0)
     return (goes - came)[None, :], (goes * t1 - came * t0)[None, :]
 

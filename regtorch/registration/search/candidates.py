@@ -74,7 +74,7 @@ def _look(tissue: Matcher, share: float, turn: int, *, times: int = 1) -> Candid
     order = climbed.similarity.argsort(descending=True)
     places = climbed.parameters[order]
     kept = problem.distinct(places, settings.place_mm, following.candidates, each=settings.at_a_place)
-    tissue.trace.add("screen", widest.pixels, len(chosen), float(climbed.similarity.max()))
+    tissue.trace.add("screen", tissue.pixels, len(chosen), float(climbed.similarity.max()))
     return Candidates(places[kept], climbed.similarity[order][kept])
 
 

@@ -63,8 +63,9 @@ class Search:
         """All tissue on the second level, where it guides the search."""
         return self.tissues.whole[1] if self.tissues.whole else None
 
-    def add(self, name: str, pixels: int, candidates: int, similarity: float) -> None:
-        self.trace.add(name, pixels, candidates, similarity)
+    def add(self, name: str, level: Matcher, candidates: int, similarity: float) -> None:
+        """End a step of the trace."""
+        self.trace.add(name, level.pixels, candidates, similarity)
 
 
 def hybrid(problem: Problem, *, settings: Settings = _DEFAULT) -> Found:
@@ -100,7 +101,7 @@ def screen(search: Search) -> None:
     problem.progress(0.4, f"{stage.pixels} pixels, {len(places)} candidates")
     bone = search.tissues.bone[1]
     _rank(search, search.tissues.climbed(bone, places[: stage.candidates], stage.steps))
-    search.add("rank", stage.pixels, len(search.starts), float(search.together[0]))
+    search.add("rank", bone, len(search.starts), float(search.together[0]))
 
 
 def widen(search: Search) -> None:
@@ -115,7 +116,7 @@ def widen(search: Search) -> None:
     if not search.convinces:
         search.looks += 1
         _evolve(search)
-    search.add("widen", stage.pixels, len(search.starts), float(search.together[0]))
+    search.add("widen", search.tissues.bone[1], len(search.starts), float(search.together[0]))
 
 
 def refine(search: Search) -> None:
@@ -133,7 +134,7 @@ def refine(search: Search) -> None:
             best = along_the_flat(robust, best, stage.steps)
             robust = bone.with_edges(edges).robust(best)
         search.end = refined(robust, best, stage.steps)
-        search.add("refine", stage.pixels, len(places), search.end.similarity)
+        search.add("refine", level, len(places), search.end.similarity)
         rest = [] if sure else problem.distinct(places, settings.place_mm, len(places))[1:]
         places = torch.cat([search.end.parameters[None], places[rest]])
     search.gain = robust_gain(tissues.bone[-1], search.end)
@@ -161,7 +162,7 @@ def finish(search: Search) -> None:
             other = finished(whole, answer.parameters, settings.finest_steps, settings.edges_px)
             answer = other if other.plain_similarity > answer.plain_similarity else answer
     search.answer = answer
-    search.add("finish", settings.finest_pixels, 1, answer.similarity)
+    search.add("finish", bone, 1, answer.similarity)
 
 
 def release(search: Search) -> None:
@@ -171,7 +172,7 @@ def release(search: Search) -> None:
     plain = search.end.matcher.with_gradients_of(search.tissues.bone[-1])
     stage = search.settings.levels[-1]
     search.moves = released(plain, search.end.parameters, torch.tensor(SEARCH, dtype=torch.float64), stage.steps)
-    search.add("release", stage.pixels, 1, search.end.similarity)
+    search.add("release", plain, 1, search.end.similarity)
 
 
 def _found(search: Search) -> Found:
@@ -184,7 +185,6 @@ def _found(search: Search) -> Found:
         search.starts,
         search.together,
         comparable=True,
-        guided=search.whole is not None,
         covariance=error,
         released=moves,
         mirrored=_mirrored_similarity(search),

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.batches import at_once
 from regtorch.drr import render, render_with_jacobian
 from regtorch.imaging import Radiograph, Volume, coarsen, continued, level
 from regtorch.optimization.climbing import levenberg_marquardt
@@ -21,8 +22,6 @@ from regtorch.scoring import gradient_correlations, normal_equations
 from regtorch.similarity import gradient_correlation
 from regtorch.similarity.gram import FixedGradients, fixed_gradients
 from regtorch.similarity.robust import explained_weight
-
-_PIXELS_AT_ONCE = 1 << 22
 
 
 class Climbed(NamedTuple):
@@ -51,15 +50,18 @@ class Matcher:
     @classmethod
     def of(cls, problem: Problem, settings: Settings, tissue: Volume, pixels: int, trace: Trace) -> "Matcher":
         """At most ``pixels`` a side; voxels of ``voxel_per_pixel`` times a pixel's size in the patient."""
-        pixel_mm = level(problem.radiograph, pixels).detector.pixel_mm
-        voxel_mm = settings.voxel_per_pixel * pixel_mm / problem.magnification
+        fixed = level(problem.radiograph, pixels)
+        voxel_mm = settings.voxel_per_pixel * fixed.detector.pixel_mm / problem.magnification
         volume = coarsen(tissue, voxel_mm, least_ratio=settings.least_averaging)
-        return cls.on(problem, settings, volume, pixels, trace)
+        return cls._with(problem, settings, volume, fixed, trace)
 
     @classmethod
     def on(cls, problem: Problem, settings: Settings, volume: Volume, pixels: int, trace: Trace) -> "Matcher":
         """The same with a volume that is coarse enough already."""
-        fixed = level(problem.radiograph, pixels)
+        return cls._with(problem, settings, volume, level(problem.radiograph, pixels), trace)
+
+    @classmethod
+    def _with(cls, problem: Problem, settings: Settings, volume: Volume, fixed: Radiograph, trace: Trace) -> "Matcher":
         fixed = replace(fixed, image=fixed.image.to(volume.data), weight=fixed.weight.to(volume.data))
         return cls(problem, settings, volume, fixed, fixed_gradients(fixed.image, fixed.weight), trace)
 
@@ -69,10 +71,9 @@ class Matcher:
         detector, view = self.fixed.detector, self.problem.view
         if self.problem.similarity is gradient_correlation:
             return gradient_correlations(self.volume, parameters, detector, view, self.gradients).cpu()
-        at_once = max(1, _PIXELS_AT_ONCE // (detector.rows * detector.columns))
         found = [parameters.new_zeros(0)]
         with torch.no_grad():
-            for some in parameters.split(at_once) if len(parameters) else ():
+            for some in parameters.split(at_once(detector.rows * detector.columns)) if len(parameters) else ():
                 moving = render(self.volume, some, detector, view)
                 similarity = self.problem.similarity(moving, self.fixed.image, weight=self.fixed.weight)
                 found.append(similarity.cpu().double())
@@ -125,6 +126,11 @@ class Matcher:
         index = torch.tensor(unknowns.moved)
         result[index[:, None], index] = moved
         return result
+
+    @property
+    def pixels(self) -> int:
+        """Pixels of the longer side."""
+        return max(self.fixed.detector.rows, self.fixed.detector.columns)
 
     @property
     def pixel_mm(self) -> float:

@@ -29,7 +29,7 @@ _DONE = ((0.0, 0.6), (0.6, 0.7), (0.7, 1.0))
 
 @dataclass(frozen=True)
 class _Run:
-    """What the three stages share."""
+    """The part that the three stages share."""
 
     problem: Problem
     optimizer: Callable[..., Optimum]
@@ -159,7 +159,7 @@ def _found(problem: Problem, all_starts: Optimum, final: Optimum, fine: Matcher)
 
 
 def _note(level: Matcher, found: Optimum, name: str) -> None:
-    level.trace.add(name, level.fixed.detector.columns, len(found.x), -float(found.cost.min()))
+    level.trace.add(name, level.pixels, len(found.x), -float(found.cost.min()))
 
 
 def _spread_mm(

@@ -1,4 +1,4 @@
-"""The local stage: the last climbs of a level, robustly weighted, and those of the finest level."""
+"""The local stage: the last climbs of each level, robustly weighted."""
 
 import math
 from collections.abc import Sequence

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 from torch.quasirandom import SobolEngine
 
+from regtorch.batches import CACHED, at_once
 from regtorch.drr import render
 from regtorch.geometry import Z_OBJ, Z_S, Detector
 from regtorch.imaging import Radiograph
@@ -18,8 +19,7 @@ from regtorch.registration.search.matcher import Matcher
 from regtorch.similarity.gradients import gradient_weight, image_gradients
 
 _TINY = 1e-12
-_POSES_AT_ONCE = 64
-_PIXELS_AT_ONCE = 1 << 21
+_MOST_AT_ONCE = 64
 
 
 class Candidates(NamedTuple):
@@ -48,8 +48,7 @@ def screen(matcher: Matcher, poses: int, seed: int) -> Candidates:
     size = [_fast_size(n) for n in (wide.rows, wide.columns)]
     fixed_terms, weight_term = _fixed_terms(fixed, size)
     found, values = [], []
-    at_once = max(1, min(_POSES_AT_ONCE, _PIXELS_AT_ONCE // (wide.rows * wide.columns)))
-    for some in draws.split(at_once):
+    for some in draws.split(at_once(wide.rows * wide.columns, share=CACHED, most=_MOST_AT_ONCE)):
         moving = torch.stack(image_gradients(render(matcher.volume, some, wide, problem.view)), dim=1)
         product = _correlate(moving, fixed_terms, size, margins)
         energy = _correlate(moving.square().sum(1, keepdim=True), weight_term, size, margins)

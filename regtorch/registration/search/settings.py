@@ -65,7 +65,7 @@ class Settings:
     tolerance_mm: float = 1e-3
     """Step, mm in the detector plane, below which a climb ends."""
     least_gain: float = 2e-5
-    """Gain of a step, as a share of what the similarity lacks to 1, below which a climb ends."""
+    """Gain of a step, as a share of 1 - similarity, below which a climb ends."""
     least_similarity: float = 0.1
     """Similarity below which the curvature is no longer scaled down with it."""
 

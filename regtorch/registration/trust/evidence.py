@@ -1,4 +1,4 @@
-"""What a search has seen that speaks for or against its answer: named numbers, for rules, files and tables."""
+"""Evidence for and against a search's answer: named numbers, for rules, files and tables."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -24,9 +24,6 @@ class Evidence:
     comparable: bool
     """Whether the similarity is gradient correlation, for which the limits are known."""
 
-    guided: bool
-    """Whether soft tissue guided the search."""
-
     similarity: float
     """The answer's on the finest level, robustly weighted."""
 
@@ -40,7 +37,7 @@ class Evidence:
     """Starts that ended at the answer's place."""
 
     gap: float | None
-    """The best agreeing start's similarity less that of the runner-up, the best start elsewhere."""
+    """The best agreeing start's similarity less the runner-up's, the best start elsewhere."""
 
     runner_up_mm: float | None
     """Shift of the runner-up along the body axis, mm in the detector plane (up is positive); 0 for other shifts."""
@@ -82,7 +79,6 @@ def measure(
     start_similarity: Float[Tensor, " n"],
     *,
     comparable: bool,
-    guided: bool = False,
     covariance: Float[Tensor, "9 9"] | None = None,
     released: Float[Tensor, "9"] | None = None,
     mirrored: float | None = None,
@@ -94,7 +90,6 @@ def measure(
 
     Args:
         comparable: Whether the similarity is gradient correlation.
-        guided: Whether soft tissue guided the search.
         covariance: Of the nine parameters (mm, rad), if the method knows it.
         released: How far the nine parameters move once frozen ones are free.
         mirrored: The best start's similarity for the radiograph mirrored.
@@ -106,7 +101,6 @@ def measure(
     searched = problem.searched
     return Evidence(
         comparable=comparable,
-        guided=guided,
         similarity=similarity,
         best_start=float(start_similarity.max()),
         starts=len(starts),

@@ -16,16 +16,10 @@ class Limits:
     least_similarity: float = 0.05
     """Least similarity of the best start. Unrelated images and noise reach about 0.03."""
 
-    least_guided: float = 0.2
-    """Least similarity of the best start where soft tissue guides the search."""
-
-    enough_similarity: float = 0.3
-    """Similarity of the answer, robustly weighted, from which a weak best start does not matter."""
-
     strong_similarity: float = 0.4
     """Similarity of the best start from which the mirrored radiograph need only be less similar."""
 
-    least_over_mirrored: float = 0.06
+    least_over_mirrored: float = 0.045
     """How much more similar a weaker best start must be than the best one of the mirrored radiograph."""
 
     least_agreeing: int = 2

@@ -68,12 +68,6 @@ RULES = (
         "{at_limit} at the limit of the range searched: the answer may lie beyond",
     ),
     Rule(
-        "weak",
-        "doubtful",
-        lambda e, limits: e.guided and e.best_start < limits.least_guided and e.similarity < limits.enough_similarity,
-        "similarity {best_start:.2f} at best: too weak to tell this anatomy from another",
-    ),
-    Rule(
         "mirrored_close",
         "doubtful",
         lambda e, limits: (

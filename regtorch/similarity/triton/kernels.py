@@ -9,7 +9,7 @@ import triton.language as tl
 @triton.jit(do_not_specialize=["rows", "columns"])
 @no_type_check
 def gradient_gram(images, fixed, root, parts, rows, columns, BLOCK: tl.constexpr):
-    """To ``parts``, seven per block: m f, m r and m m of the x-gradient m times r, those of y, and the squares."""
+    """To ``parts``, seven per block: m f, m r and m m of the x-gradient m times r, the same of y, and the squares."""
     pixels = rows * columns
     blocks = (pixels + BLOCK - 1) // BLOCK
     program = tl.program_id(0)

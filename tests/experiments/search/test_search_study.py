@@ -136,7 +136,7 @@ def test_changed_settings_refuse_to_mix_but_kinds_may_be_added(ct, tmp_path):
     search.run(_config(ct, tmp_path))
     for name, changed in {
         "dof": "=6",
-        "registration": ".poses=50",
+        "registration": ".settings.poses=50",
         "radiographs.matched": ".threshold_hu=200.0",
     }.items():
         with pytest.raises(RegtorchError, match=re.escape(f"another {name!r}")):

@@ -79,7 +79,12 @@ def test_kills_at_any_moment_leave_the_table_of_an_undisturbed_run(command, undi
 def test_changed_settings_refuse_to_mix(settings, tmp_path):
     first = f"out={tmp_path}", "views=[PA]", "seeds=1"
     study.run(settings(*first))
-    for changed in ("threshold_hu=50", "least_targets=3", "radiograph.photons=1e5", "registration.settings.voxel_per_pixel=2.0"):
+    for changed in (
+        "threshold_hu=50",
+        "least_targets=3",
+        "radiograph.photons=1e5",
+        "registration.settings.voxel_per_pixel=2.0",
+    ):
         with pytest.raises(RegtorchError, match=f"another '{changed.partition('=')[0].partition('.')[0]}'"):
             study.run(settings(*first, changed))
     study.run(settings(*first[:2], "seeds=2"))

@@ -1,7 +1,6 @@
-"""HU to linear attenuation, and the boxes of what attenuates."""
+"""HU to linear attenuation, and the boxes of attenuating voxels."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -41,22 +40,9 @@ def attenuation(
     return volume.with_data(data, unit="per_mm")
 
 
-def tissue_classes(
-    volume: Volume, *, limits_hu: tuple[float, ...] = (BONE_HU,), mu_water_per_mm: float = MU_WATER_PER_MM
-) -> Volume:
-    """``attenuation`` of all tissue, split into classes [c, d, h, w] at limits in HU: soft tissue and bone by default.
-
-    The classes sum to the whole; a voxel of exactly a limit belongs to the denser class.
-    """
-    whole = attenuation(volume, threshold_hu=None, mu_water_per_mm=mu_water_per_mm)
-    limits = volume.data.new_tensor(sorted(limits_hu))
-    number = torch.bucketize(volume.data, limits, right=True)
-    classes = torch.stack([torch.where(number == c, whole.data, 0) for c in range(len(limits) + 1)])
-    return replace(whole, data=classes)
-
-
 def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
-    """What ``attenuation`` left above a threshold, less what tissue just at the threshold attenuates: bone's contrast.
+    """Bone as ``attenuation`` leaves it above a threshold, less the attenuation of tissue just at the threshold: bone's
+    contrast.
 
     Bones in a body displace soft tissue, and a radiograph shows them by the difference. Without a threshold, or with
     one of air, nothing is taken off.
@@ -66,7 +52,8 @@ def bone_contrast(bone: Volume, *, threshold_hu: float | None = BONE_HU) -> Volu
 
 
 def crop_to_anatomy(volume: Volume, *, threshold_hu: float | None = BONE_HU) -> Volume:
-    """The box of what ``attenuation`` leaves of a CT in HU, and one voxel around it; the ``ct`` origin stays.
+    """The box of the voxels that ``attenuation`` leaves of a CT in HU, and one voxel around it; the ``ct`` origin
+    stays.
 
     A view of the CT's own voxels.
     """
@@ -92,7 +79,8 @@ def corners_ct(ct: Volume, above_hu: float) -> Float[Tensor, "8 3"]:
 
 
 def _box(ct: Volume, inside: Callable[[Tensor], Tensor]) -> list[tuple[int, int]]:
-    """First and last index along k, j and i of what is ``inside`` by its HU, as all denser is too; nothing if none."""
+    """First and last index along k, j and i of the voxels that are ``inside`` by their HU, as all denser ones are;
+    nothing if none."""
     across = ct.data.amax(0)
     highest = ct.data.flatten(1).amax(1), across.amax(1), across.amax(0)
     found = [inside(line).nonzero().flatten() for line in highest]
