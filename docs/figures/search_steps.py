@@ -12,6 +12,7 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from PIL import Image
 
 from regtorch import attenuation, make_phantom, register, render
 from regtorch.geometry import Detector, project
@@ -68,23 +69,24 @@ def draw_frames(path: Path) -> None:
     axes.plot(z_obj, y_obj, "o", color=BLUE, markersize=7)
     axes.text(z_s + 20, y_s + 25, "source\n(x_s, y_s, z_s)", color="#8a5f00", ha="right", va="bottom")
     axes.text(z_obj + 12, y_obj + 12, "CT centre\n(x_obj, y_obj, z_obj)", color=BLUE, va="bottom")
-    axes.text(z_obj + 60, y_obj - 120, "patient, turned by\neta, theta, phi", color=BLUE)
-    axes.text(-14, -190, "detector, Z = 0", rotation=90, ha="right", va="bottom")
+    axes.text(z_obj + 90, y_obj - 130, "patient, turned by\neta, theta, phi", color=BLUE)
+    axes.text(-14, -205, "detector, Z = 0", rotation=90, ha="right", va="bottom", fontsize=9)
     arrow = {"arrowstyle": "-|>", "color": "black", "linewidth": 1.6}
     axes.annotate("", (130, 0), (0, 0), arrowprops=arrow)
-    axes.annotate("", (0, 130), (0, 0), arrowprops=arrow)
+    axes.annotate("", (0, 250), (0, 0), arrowprops=arrow)
     axes.text(136, -6, "Z", va="center", weight="bold")
-    axes.text(10, 122, "Y (up; rows decrease)", weight="bold")
-    axes.text(10, -32, "X (columns increase): away from the reader", fontsize=8.5)
+    axes.text(-14, 30, "Y: up, rows decrease", rotation=90, ha="right", va="bottom", fontsize=9)
+    axes.plot(0, 0, "o", color="white", markeredgecolor="black", markersize=13)
+    axes.plot(0, 0, "x", color="black", markersize=8)
+    axes.text(18, -40, "X: into the page,\ncolumns increase", va="top", fontsize=9)
     span = {"arrowstyle": "<->", "color": "black", "linewidth": 1}
     axes.annotate("", (0, -255), (z_s, -255), arrowprops=span)
     axes.text(z_s / 2, -250, "SDD = z_s", ha="center", va="bottom")
     axes.annotate("", (0, -300), (z_obj, -300), arrowprops=span)
     axes.text(z_obj / 2, -295, "ODD = z_obj", ha="center", va="bottom")
-    axes.set(xlim=(-60, 1060), ylim=(-325, 250), xlabel="Z (mm)", ylabel="Y (mm)", aspect="equal")
+    axes.set(xlim=(-80, 1060), ylim=(-325, 265), xlabel="Z (mm)", ylabel="Y (mm)", aspect="equal")
     axes.set_title("The frame 'world', seen from the side")
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    _save(figure, path)
 
 
 def draw_screening(path: Path, matcher: Matcher) -> None:
@@ -119,7 +121,7 @@ def draw_screening(path: Path, matcher: Matcher) -> None:
     panels[1].add_patch(
         plt.Rectangle((-half[0], -half[1]), 2 * half[0], 2 * half[1], fill=False, color=ORANGE, linewidth=2)
     )
-    panels[1].set_title("wide DRR of one pose, bone")
+    panels[1].set_title("wide DRR of one pose")
     shown = panels[2].imshow(
         score[best], cmap="viridis", extent=extent(2 * margins[0] + 1, 2 * margins[1] + 1), vmin=0
     )
@@ -129,13 +131,12 @@ def draw_screening(path: Path, matcher: Matcher) -> None:
         panels[2].annotate(
             f"{number}", (x, y), (10, 7), textcoords="offset points", color=ORANGE, weight="bold", fontsize=12
         )
-    panels[2].set_title("correlation at all shifts")
+    panels[2].set_title("correlation, 1 and 2: peaks kept")
     figure.colorbar(shown, ax=panels[2], shrink=0.7, label="correlation of gradients")
     for axes in panels[:2]:
         axes.set(xlabel="X (mm)", ylabel="Y (mm)")
     panels[2].set(xlabel="shift in X (mm)", ylabel="shift in Y (mm)")
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
+    _save(figure, path)
 
 
 def draw_climbs(path: Path, matcher: Matcher, radiograph: Radiograph, anchor, truth) -> None:
@@ -162,8 +163,7 @@ def draw_climbs(path: Path, matcher: Matcher, radiograph: Radiograph, anchor, tr
         axes.legend(loc="lower right")
     panels[0].set_ylabel("row (pixel of 1.3 mm)")
     figure.colorbar(shown, ax=panels, shrink=0.7, label="similarity of bone")
-    figure.savefig(path, dpi=85)
-    plt.close(figure)
+    _save(figure, path)
 
 
 def draw_levels(path: Path, radiograph: Radiograph) -> None:
@@ -177,14 +177,13 @@ def draw_levels(path: Path, radiograph: Radiograph) -> None:
         across, down = detector.columns * detector.pixel_mm / 2, detector.rows * detector.pixel_mm / 2
         axes.imshow(seen.image, cmap="gray", extent=(-across, across, -down, down), interpolation="nearest")
         axes.set_title(
-            f"at most {pixels}: {detector.columns} x {detector.rows}\npixels of {detector.pixel_mm:.1f} mm, "
+            f"{detector.columns} x {detector.rows} pixels\nof {detector.pixel_mm:.1f} mm, "
             f"{count} candidate{'s' * (count > 1)}",
             fontsize=9,
         )
         axes.set(xlabel="X (mm)")
     panels[0].set_ylabel("Y (mm)")
-    figure.savefig(path, dpi=85)
-    plt.close(figure)
+    _save(figure, path)
 
 
 def draw_robust(path: Path, matcher: Matcher, parameters) -> None:
@@ -205,14 +204,13 @@ def draw_robust(path: Path, matcher: Matcher, parameters) -> None:
     for axes in panels:
         axes.set_xlabel(f"column (pixel of {fixed.detector.pixel_mm:.1f} mm)")
     panels[0].set_ylabel("row")
-    figure.savefig(path, dpi=85)
-    plt.close(figure)
+    _save(figure, path)
 
 
 def draw_answer(path: Path, ct, radiograph: Radiograph, result) -> None:
     """Edges of bone at the start and at the answer."""
     bone = attenuation(ct, threshold_hu=100.0)
-    figure, panels = plt.subplots(1, 2, figsize=(7.6, 4.8), layout="constrained", sharey=True)
+    figure, panels = plt.subplots(1, 2, figsize=(7, 4.6), layout="constrained", sharey=True)
     for axes, parameters, title in zip(
         panels, (result.initial, result.parameters), ("start", f"answer: {result.status}"), strict=True
     ):
@@ -221,8 +219,14 @@ def draw_answer(path: Path, ct, radiograph: Radiograph, result) -> None:
         axes.imshow(np.dstack([np.broadcast_to((1.0, 0.6, 0.1), (*edges.shape, 3)), edges]))
         axes.set(title=title, xlabel="column (pixel of 1.3 mm)")
     panels[0].set_ylabel("row (pixel of 1.3 mm)")
+    _save(figure, path)
+
+
+def _save(figure, path: Path) -> None:
+    """A picture of 128 colours, which is a third of the size."""
     figure.savefig(path, dpi=85)
     plt.close(figure)
+    Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)
 
 
 if __name__ == "__main__":
