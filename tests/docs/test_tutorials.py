@@ -19,7 +19,8 @@ def test_tutorial_runs(script, tmp_path):
     page = build_tutorials.page(script, build_tutorials.run(script, tmp_path))
     assert (tmp_path / f"{script.stem}.png").stat().st_size > 0
     kept = script.with_suffix(".md").read_text(encoding="utf-8")
-    assert _without_output(page) == _without_output(kept), "the page is of another script: python docs/build_tutorials.py"
+    told = "the page is of another script: python docs/build_tutorials.py"
+    assert _without_output(page) == _without_output(kept), told
 
 
 def _without_output(page: str) -> str:
