@@ -71,8 +71,8 @@ def settings() -> str:
     sentences = dict(re.findall(r"^    (\w+): [^\n]*\n    \"\"\"(.*?)\"\"\"", source, re.MULTILINE | re.DOTALL))
     parts = [
         "# Settings of the search",
-        "The fields of `regtorch.registration.Settings`. The values are those of `conf/registration/hybrid.yaml`, which "
-        "`python -m experiments.settings` makes of the same class.\n\n"
+        "The fields of `regtorch.registration.Settings`. The values are those of `conf/registration/hybrid.yaml`, "
+        "which `python -m experiments.settings` makes of the same class.\n\n"
         "```python\nfrom functools import partial\n\nfrom regtorch.registration import Settings, hybrid, register\n\n"
         "result = register(ct, radiograph, view, method=partial(hybrid, settings=Settings(poses=500)))\n```\n\n"
         "In a study: `python -m experiments.search registration.settings.poses=500`.",

@@ -24,7 +24,7 @@ tutorials = load("build_tutorials.py")
 def test_a_tutorial_runs_and_ends_in_a_picture(script, tmp_path):
     output = tutorials.run(script, tmp_path)
     with Image.open(tmp_path / f"{script.stem}.png") as picture:
-        assert min(picture.size) >= 300
+        assert min(picture.size) >= 250
     page = script.with_suffix(".md").read_text(encoding="utf-8")
     made = tutorials.page(script, output)
     printed = "The script prints:"
