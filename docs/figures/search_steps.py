@@ -129,7 +129,7 @@ def draw_screening(path: Path, matcher: Matcher) -> None:
         panels[2].annotate(
             f"{number}", (x, y), (10, 7), textcoords="offset points", color=ORANGE, weight="bold", fontsize=12
         )
-    panels[2].set_title("correlation, 1 and 2: peaks kept")
+    panels[2].set_title("correlation; two peaks")
     figure.colorbar(shown, ax=panels[2], shrink=0.7, label="correlation of gradients")
     for axes in panels[:2]:
         axes.set(xlabel="X (mm)", ylabel="Y (mm)")
@@ -202,7 +202,7 @@ def draw_robust(path: Path, matcher: Matcher, parameters) -> None:
     for axes in panels:
         axes.set_xlabel(f"column (pixel of {fixed.detector.pixel_mm:.1f} mm)")
     panels[0].set_ylabel("row")
-    _save(figure, path)
+    _save(figure, path, dpi=72)
 
 
 def draw_answer(path: Path, ct, radiograph: Radiograph, result) -> None:
@@ -218,13 +218,12 @@ def draw_answer(path: Path, ct, radiograph: Radiograph, result) -> None:
         axes.set(title=title, xlabel="column (pixel of 1.3 mm)")
     panels[0].set_ylabel("row (pixel of 1.3 mm)")
     _save(figure, path)
+    Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)  # a third of the size
 
 
-def _save(figure, path: Path) -> None:
-    """A picture of 128 colours, which is a third of the size."""
-    figure.savefig(path, dpi=85)
+def _save(figure, path: Path, dpi: int = 85) -> None:
+    figure.savefig(path, dpi=dpi)
     plt.close(figure)
-    Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)
 
 
 if __name__ == "__main__":
