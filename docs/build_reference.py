@@ -1,13 +1,13 @@
 """Makes the reference pages that repeat the code: the command line and the settings of the search.
 
-    python docs/build_reference.py
+python docs/build_reference.py
 """
 
+import json
 import os
 import re
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -22,13 +22,26 @@ def studies() -> list[str]:
     return sorted(names - {"__init__"})
 
 
-def help_of(command: str) -> str:
-    """The text of ``--help``, 100 columns wide; ``command`` as the page shows it."""
-    module = command.replace("regtorch", "regtorch.cli", 1).replace("python -m ", "")
+def help_of_all(names: list[str]) -> list[str]:
+    """The text of each command's ``--help``, 100 columns wide, from one process that imports the rest once."""
+    modules = [name.replace("regtorch", "regtorch.cli", 1).replace("python -m ", "").split() for name in names]
     environment = {k: v for k, v in os.environ.items() if k != "REGTORCH_DATA"} | {"COLUMNS": "100"}
-    words = [sys.executable, "-m", *module.split(), "--help"]
+    environment["PYTHONPATH"] = str(ROOT)
+    words = [sys.executable, "-c", _ASK, json.dumps(modules)]
     done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
-    return "\n".join(line.rstrip() for line in done.stdout.strip().splitlines())
+    return ["\n".join(line.rstrip() for line in text.strip().splitlines()) for text in json.loads(done.stdout)]
+
+
+_ASK = """
+import contextlib, io, json, runpy, sys
+texts = []
+for module, *rest in json.loads(sys.argv[1]):
+    sys.argv = [module, *rest, "--help"]
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+        runpy.run_module(module, run_name="__main__")
+    texts.append(out.getvalue())
+print(json.dumps(texts))
+"""
 
 
 def commands() -> list[str]:
@@ -37,8 +50,7 @@ def commands() -> list[str]:
 
 def command_line() -> str:
     names = commands()
-    with ThreadPoolExecutor(2) as pool:
-        texts = list(pool.map(help_of, names))
+    texts = help_of_all(names)
     parts = [
         "# Command line",
         "Each command tells its options on `--help`. This page repeats these texts. `regtorch` is installed with the "
@@ -59,8 +71,8 @@ def settings() -> str:
     sentences = dict(re.findall(r"^    (\w+): [^\n]*\n    \"\"\"(.*?)\"\"\"", source, re.MULTILINE | re.DOTALL))
     parts = [
         "# Settings of the search",
-        "The fields of `regtorch.registration.Settings`. The values are those of `conf/registration/hybrid.yaml`, which "
-        "`python -m experiments.settings` makes of the same class.\n\n"
+        "The fields of `regtorch.registration.Settings`. The values are those of `conf/registration/hybrid.yaml`, "
+        "which `python -m experiments.settings` makes of the same class.\n\n"
         "```python\nfrom functools import partial\n\nfrom regtorch.registration import Settings, hybrid, register\n\n"
         "result = register(ct, radiograph, view, method=partial(hybrid, settings=Settings(poses=500)))\n```\n\n"
         "In a study: `python -m experiments.search registration.settings.poses=500`.",

@@ -1,6 +1,6 @@
 """Draws the steps of the default search, on the embedded phantom, and the frames.
 
-    python docs/figures/search_steps.py [FOLDER]
+python docs/figures/search_steps.py [FOLDER]
 """
 
 import sys
@@ -122,9 +122,7 @@ def draw_screening(path: Path, matcher: Matcher) -> None:
         plt.Rectangle((-half[0], -half[1]), 2 * half[0], 2 * half[1], fill=False, color=ORANGE, linewidth=2)
     )
     panels[1].set_title("wide DRR of one pose")
-    shown = panels[2].imshow(
-        score[best], cmap="viridis", extent=extent(2 * margins[0] + 1, 2 * margins[1] + 1), vmin=0
-    )
+    shown = panels[2].imshow(score[best], cmap="viridis", extent=extent(2 * margins[0] + 1, 2 * margins[1] + 1), vmin=0)
     for number, (row, column) in enumerate(at[0].tolist(), 1):
         x, y = (column - margins[0]) * mm, (margins[1] - row) * mm
         panels[2].plot(x, y, "o", color="none", markeredgecolor=ORANGE, markersize=14, markeredgewidth=2.2)

@@ -1,7 +1,7 @@
 """A lateral radiograph of the abdomen
 
-Lateral abdomens are hard: few photons come through, and bone is faint. The radiograph here has moved soft tissue, noise,
-scatter, blur and wires. The result says how far to trust it.
+Lateral abdomens are hard: few photons come through, and bone is faint. The radiograph here has moved soft
+tissue, noise, scatter, blur and wires. The result says how far to trust it.
 """
 
 from pathlib import Path

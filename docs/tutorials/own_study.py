@@ -30,7 +30,7 @@ half_range = torch.tensor([25.0, 25.0, 50.0, 25.0, 25.0, 50.0, 0.09, 0.09, 0.09]
 rows = []
 for seed in range(5):
     truth = draw_geometry(ct, middle, half_range, "PA", torch.Generator().manual_seed(seed))
-    for photons in (1e6, 3e3):
+    for photons in (1e6, 2e4):
         made = simulate(ct, truth, "PA", detector=detector, photons=photons, targets=vertebrae, seed=seed)
         result = register(ct, Radiograph.from_image(made.image, detector), "PA", seed=seed)
         targets = torch.tensor(list(made.targets.values()), dtype=torch.float64)
@@ -50,7 +50,7 @@ print(table.groupby("photons")["status"].value_counts())
 # resumption: see the page on studies.
 
 figure, axes = plt.subplots(figsize=(5, 4.4), layout="constrained")
-for photons, colour, marker in ((1e6, "#0072b2", "o"), (3e3, "#d55e00", "s")):
+for photons, colour, marker in ((1e6, "#0072b2", "o"), (2e4, "#d55e00", "s")):
     some = table[table.photons == photons]
     axes.scatter(some.expected_mm, some.pde_mm, color=colour, marker=marker, label=f"{photons:,.0f} photons a pixel")
 low, high = table[["pde_mm", "expected_mm"]].min().min() / 2, table[["pde_mm", "expected_mm"]].max().max() * 2
