@@ -1,7 +1,7 @@
-"""The projectors in plain torch: the oracle for every fused kernel, differentiable by pose and by voxel.
+"""The projectors in plain torch: the reference of every fused kernel, differentiable by pose and by voxel.
 
-Each method is a rule for where along a ray to read the volume and how much each reading counts. A ray is
-p(t) = source + t (pixel - source), 0 <= t <= 1, in voxel coordinates (i, j, k).
+A method gives the places and weights of samples along a ray. A ray is p(t) = source + t (pixel - source), 0 <= t <= 1,
+in voxel coordinates (i, j, k).
 """
 
 import torch
@@ -23,7 +23,7 @@ def project(
     columns: int,
     method: str,
 ) -> Float[Tensor, "b classes rows columns"]:
-    """Line integrals for twelve numbers per pose, a bounded number of rays at a time."""
+    """Line integrals for twelve numbers per pose, in bounded memory."""
     data, grid = data.reshape(-1, *data.shape[-3:]), grid.to(data)
     images = []
     for ray in rays:
@@ -44,9 +44,9 @@ def project_with_jacobian(
     columns: int,
     method: str,
 ) -> tuple[Float[Tensor, "b classes rows columns"], Float[Tensor, "b classes p rows columns"]]:
-    """Line integrals and their derivatives by p parameters, of which ``ray_jacobian`` is d rays / d parameters.
+    """Line integrals and their derivatives by p parameters, with ``ray_jacobian`` = d rays / d parameters.
 
-    A pixel depends on its own ray's ends alone, so one backward pass of the sum over pixels gives each its derivative.
+    A pixel depends on the ends of its own ray alone. So one backward pass of the sum over pixels gives all derivatives.
     """
     data, grid = data.reshape(-1, *data.shape[-3:]), grid.to(data)
     if not len(rays):
@@ -70,7 +70,7 @@ def project_with_jacobian(
 
 
 def _some_rays(ray, data, rows, columns):
-    """Sources and pixels [n, 3] of as many rays at a time as memory shall hold, and their (column, row) [n, 2]."""
+    """Sources and pixels [n, 3] of rays, in bounded memory, and their (column, row) [n, 2]."""
     size = torch.tensor(data.shape[:0:-1])
     samples_per_ray = 2 * int((size + 1.0).norm()) + int(size.sum()) + 6
     source, first, column_step, row_step = ray.unflatten(-1, (4, 3))
@@ -81,7 +81,7 @@ def _some_rays(ray, data, rows, columns):
 
 
 def _siddon(data, source, pixel, grid):
-    """Siddon 1985: the crossings with all voxel faces, sorted; between two of them lies one voxel."""
+    """Siddon 1985: all crossings with voxel faces, sorted. Between two of them lies one voxel."""
     size, direction = torch.tensor(data.shape[:0:-1], device=data.device), pixel - source
     enter, leave = _span(source, direction, source.new_tensor(-0.5), size - 0.5)
     crossings = [enter[:, None], leave[:, None]]
@@ -90,7 +90,7 @@ def _siddon(data, source, pixel, grid):
         step = direction[:, axis, None]
         t = (faces - source[:, axis, None]) / torch.where(step == 0, torch.ones_like(step), step)
         crossings.append(torch.where(step == 0, enter[:, None], t))
-    # Not clamp: its derivative is wrong where both limits are the same, which is how a ray misses the volume.
+    # Not clamp: its derivative is wrong where both limits are equal, as for a ray that misses the volume.
     t = torch.minimum(torch.maximum(torch.cat(crossings, dim=1), enter[:, None]), leave[:, None]).sort(dim=1).values
     middle = (t[:, 1:] + t[:, :-1]).detach() / 2
     # A ray along a face between two voxels reads the upper one.
@@ -100,10 +100,10 @@ def _siddon(data, source, pixel, grid):
 
 
 def _joseph(data, source, pixel, grid):
-    """Joseph 1982: one bilinear reading where the ray crosses each slice of its main axis.
+    """Joseph 1982: one bilinear sample where the ray crosses each slice of its main axis.
 
-    Slice k stands for the slab from k - 1/2 to k + 1/2, of which only the part between source and pixel counts. Where
-    voxels are sharper than linear, a reading is taken nearer to the voxel's centre than the ray is.
+    Slice k stands for the slab from k - 1/2 to k + 1/2, of which only the part between source and pixel counts. For
+    voxels sharper than linear, a sample is taken nearer to the voxel's centre.
     """
     direction = pixel - source
     main = direction.abs().argmax(dim=1)
@@ -123,7 +123,7 @@ def _joseph(data, source, pixel, grid):
 
 
 def _trilinear(data, source, pixel, grid):
-    """Equal steps of at most half a voxel along the part of the ray where the volume can be felt."""
+    """Trilinear samples in equal steps of at most half a voxel, where the ray is within a voxel of the volume."""
     size, direction = torch.tensor(data.shape[:0:-1], device=data.device), pixel - source
     enter, leave = _span(source, direction, source.new_tensor(-1.0), size.to(data))
     steps = 2 * int((size + 1.0).norm()) + 2
@@ -134,7 +134,7 @@ def _trilinear(data, source, pixel, grid):
 
 
 def _span(source, direction, lower, upper):
-    """Where rays are inside a box, as t in [0, 1]; an empty span where they miss it."""
+    """Span of t in [0, 1] inside a box; empty for a ray that misses it."""
     flat = direction == 0
     step = torch.where(flat, torch.ones_like(direction), direction)
     ends = torch.stack([(lower - source) / step, (upper - source) / step])
@@ -145,7 +145,7 @@ def _span(source, direction, lower, upper):
 
 
 def _sharpened(points, sharpness):
-    """The place where linear interpolation gives the value of voxels of this sharpness at (i, j, k)."""
+    """Points where linear interpolation has the value of voxels of this sharpness at ``points``."""
     cell = points.detach().floor()
     return cell + ((points - cell - 0.5) * sharpness + 0.5).clamp(0, 1)
 

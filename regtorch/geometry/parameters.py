@@ -1,4 +1,4 @@
-"""The nine parameters: order, units, freedom. Millimetres and radians inside, degrees only in dictionaries."""
+"""The nine parameters: order, units, freedom. Tensors hold mm and radians, dictionaries mm and degrees."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -16,7 +16,7 @@ X_S, Y_S, Z_S, X_OBJ, Y_OBJ, Z_OBJ, ETA, THETA, PHI = range(len(NAMES))
 """Positions of the nine parameters in a tensor."""
 
 KEYS = tuple(f"{name}_mm" for name in NAMES[:6]) + tuple(f"{name}_deg" for name in NAMES[6:])
-"""The same, as they are called in files and tables, where angles are in degrees."""
+"""Their names in files and tables, where angles are in degrees."""
 
 _PER_KEY = (1.0,) * 6 + (180 / math.pi,) * 3
 
@@ -28,7 +28,9 @@ _FREE = {
 
 
 def free_indices(free: int | Iterable[str]) -> list[int]:
-    """Positions of the parameters that may move, for 9, 7 or 6 degrees of freedom or any names of ``NAMES``.
+    """Positions of the free parameters, for 9, 7 or 6 degrees of freedom or any names of ``NAMES``.
+
+    Raises ``RegtorchError`` for another number, an unknown name or none at all.
 
     >>> free_indices(6)
     [3, 4, 5, 6, 7, 8]
@@ -46,12 +48,12 @@ def free_indices(free: int | Iterable[str]) -> list[int]:
 
 
 def parameters_to_dict(parameters: Float[Tensor, "9"]) -> dict[str, float]:
-    """As written to files: mm and degrees under ``KEYS``."""
+    """The parameters in mm and degrees under ``KEYS``, as files hold them."""
     return {key: float(value) * unit for key, value, unit in zip(KEYS, parameters, _PER_KEY, strict=True)}
 
 
 def parameters_from_dict(values: Mapping[str, float]) -> Float[Tensor, "9"]:
-    """The inverse of ``parameters_to_dict``, in float64; every key is needed."""
+    """The inverse of ``parameters_to_dict``, in float64. Raises ``RegtorchError`` for a missing key."""
     if missing := [key for key in KEYS if key not in values]:
         raise RegtorchError(f"parameter {missing[0]!r} is missing: expected {', '.join(KEYS)}")
     numbers = [float(values[key]) / unit for key, unit in zip(KEYS, _PER_KEY, strict=True)]

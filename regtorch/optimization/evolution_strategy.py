@@ -1,6 +1,6 @@
 """CMA-ES for many starts at once. Hansen, The CMA Evolution Strategy: A Tutorial, arXiv 1604.00772 (equations below).
 
-All starts share the generation counter g; each start is a row of a tensor. A start that has ended leaves the batch.
+All starts share the generation counter g. Each running start is a row of every tensor; an ended start leaves the batch.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,19 +42,20 @@ def cma_es(
 ) -> Optimum:
     """Minimise from n starts by active CMA-ES with the tutorial's defaults, stopping rules and bounds by ``Box``.
 
-    ``objective`` gets the populations of all running starts stacked (float64, CPU) once per generation and returns
-    one cost each; a cost that is not finite counts as the worst. ``sigma`` is each parameter's first standard
-    deviation, in its own unit. ``covariance`` gives the first distribution's shape, whatever its size (that of an
-    earlier ``Optimum``, say): it is scaled until one parameter's deviation reaches its ``sigma``. ``population`` is
-    lambda, for which None is 4 + floor(3 ln d). ``max_evaluations`` is per start.
+    To the last digit a start's path is independent of the others. Bad arguments raise ``RegtorchError``. A start ends
+    for one of: TolFun, EqualFunValues, TolFunHist (pycma's), Stagnation, TolX, TolXUp, NoEffectCoord, NoEffectAxis,
+    ConditionCov (appendix B.3), MaxEvaluations, MaxGenerations.
 
-    ``tol_fun``, ``tol_fun_hist`` (0: off) are in units of the cost; ``tol_x`` is relative to ``sigma``. A start ends
-    for one of: TolFun, EqualFunValues, TolFunHist, Stagnation, TolX, TolXUp, NoEffectCoord, NoEffectAxis,
-    ConditionCov (appendix B.3; TolFunHist is pycma's), MaxEvaluations, MaxGenerations.
-
-    Start i draws from the random stream ``streams[i]`` (i itself unless told) of ``seed``: its trajectory does not
-    depend, to the last digit, on which other starts run beside it. ``on_generation`` is told the generation, how many
-    starts are running, and the best cost of each start so far. Bad arguments raise ``RegtorchError``.
+    Args:
+        objective: gets the populations of all running starts (float64, CPU) once per generation. It returns one cost
+            each; a cost that is not finite counts as the worst.
+        start, sigma, lower, upper: first means and standard deviations, and bounds, in the parameters' units.
+        covariance: shape of the first distribution, at any scale. It is scaled until one deviation reaches ``sigma``.
+        population: lambda; None means 4 + floor(3 ln d).
+        max_generations, max_evaluations: budget of each start.
+        tol_fun, tol_fun_hist, tol_x: the first two in units of the cost (0: off), the last relative to ``sigma``.
+        seed, streams: seed, and the random stream of each start; None means i for start i.
+        on_generation: is told the generation, the number of running starts and each start's best cost so far.
     """
     begin = prepare(start, sigma, lower, upper, covariance)
     n, d = begin.u.shape
@@ -133,8 +134,8 @@ def _generation(
 ) -> Float[Tensor, "a lam"]:
     """Sample, evaluate, select and adapt once, in place; returns the costs, lowest first.
 
-    Sums of products instead of matrix products: a matrix product's last digits depend on the matrix's place in the
-    batch. For matrices this small its threads cost more than they save.
+    Sums of products replace matrix products, whose last digits depend on a matrix's place in the batch. For matrices
+    this small, threads also cost more time than they save.
     """
     a, lam, d = z.shape
     scaled = z * rows.D[:, None]

@@ -1,4 +1,4 @@
-"""The ``cma`` package (N. Hansen's pycma) behind the same call: for users who trust it, and as the tests' oracle."""
+"""The ``cma`` package (N. Hansen's pycma) behind the same call: an established alternative and the tests' oracle."""
 
 import sys
 import warnings
@@ -33,11 +33,11 @@ def pycma(
     streams: Sequence[int] | None = None,
     on_generation: Callable[[int, int, Float[Tensor, " n"]], None] | None = None,
 ) -> Optimum:
-    """Minimise from n starts; arguments and errors as in ``cma_es``, population for population in the same calls.
+    """Minimise from n starts, with the arguments and errors of ``cma_es`` and one call of ``objective`` per generation.
 
-    The same change of coordinates as there handles bounds and a first covariance. pycma itself sees an unbounded
-    problem that starts with a unit step. ``reason`` holds pycma's own names ("tolfun", "tolstagnation"); its rules are
-    not quite the tutorial's. numpy's global generator is neither read nor changed.
+    Bounds and a first covariance become a change of coordinates, as in ``cma_es``. So pycma sees an unbounded problem
+    that starts with a unit step. ``reason`` holds pycma's own names ("tolfun", "tolstagnation"), whose rules differ a
+    little from the tutorial's. numpy's global generator is neither read nor changed.
     """
     import cma  # half a second, for those who ask for it
 

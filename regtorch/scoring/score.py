@@ -1,4 +1,4 @@
-"""How well poses explain a radiograph, and which way is better, without a DRR leaving the device or the cache."""
+"""Gradient correlation of poses with a radiograph, and its derivatives; no DRR leaves the device or the cache."""
 
 from types import ModuleType
 
@@ -34,11 +34,18 @@ def gradient_correlations(
     method: Method = "joseph",
     backend: Backend = "auto",
 ) -> Float[Tensor, "*b"]:
-    """Gradient correlation, eqs. (2)-(3), of DRRs with the fixed image; float64. By Joseph's method one pass on a CPU.
+    """Gradient correlation, eqs. (2)-(3), of DRRs with the fixed image, in float64 and in bounded memory.
 
-    ``fixed`` may be ``fixed_gradients`` of an image, made once for many calls; then ``weight`` is theirs. Memory is
-    bounded whatever the batch. No graph: see ``render`` and ``gradient_correlation`` for that.
-    Raises ``RegtorchError`` as ``render`` does, and for images of different shapes.
+    The result has no graph: ``render`` and ``gradient_correlation`` make one. Raises ``RegtorchError`` as ``render``
+    does, and for images of different shapes.
+
+    Args:
+        volume: CT in attenuation per mm, of one class of tissue.
+        parameters: poses.
+        detector, view: as in ``render``.
+        fixed: fixed image, or its ``fixed_gradients``, made once for many calls.
+        weight: weights of the fixed image's pixels; ``fixed_gradients`` contain theirs.
+        method, backend: as in ``render``. Joseph's method on a CPU renders and compares in one pass.
     """
     found = _scored(volume, parameters, detector, view, fixed, weight, [], method, backend)
     return found.similarity.reshape(parameters.shape[:-1])
@@ -56,10 +63,10 @@ def normal_equations(
     method: Method = "joseph",
     backend: Backend = "auto",
 ) -> NormalEquations:
-    """As ``gradient_correlations``, with J^T J [*b, p, p] and J^T r [*b, p] by the parameters ``free`` (None: all).
+    """``gradient_correlations`` with J^T J [*b, p, p] and J^T r [*b, p] by the p parameters ``free``; None means all.
 
-    r is the difference of the normalised gradient images, with |r|^2 = 4 (1 - similarity). J is its exact derivative
-    (per mm, per rad), stored for a few rows of one image at a time.
+    r is the difference of the normalised gradient images, |r|^2 = 4 (1 - similarity). J is its exact derivative, per mm
+    and per rad. J is stored for a few rows of one image at a time.
     """
     free = list(range(9)) if free is None else free
     found = _scored(volume, parameters, detector, view, fixed, weight, free, method, backend)
