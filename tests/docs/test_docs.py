@@ -1,6 +1,7 @@
 """Pages say what the code does: built without warnings, commands and codes as they are."""
 
 import importlib.util
+import inspect
 import os
 import re
 import subprocess
