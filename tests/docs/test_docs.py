@@ -11,16 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from regtorch.geometry import Detector
-from regtorch.imaging import Radiograph
-from regtorch.phantom import make_phantom
-from regtorch.registration import Evidence, initial_parameters, register
+from regtorch.registration import Evidence, Registration
 from regtorch.registration.trace import Step
 from regtorch.registration.trust.rules import RULES, WARNINGS
-from regtorch.simulation import simulate
-from tests.docs.quoted import ROOT
 
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 
 _spec = importlib.util.spec_from_file_location("build_reference", DOCS / "build_reference.py")
 reference = importlib.util.module_from_spec(_spec)
@@ -54,6 +51,16 @@ def test_the_page_of_the_command_line_is_every_help():
 def test_the_page_of_the_settings_is_that_of_the_code():
     page = (DOCS / "reference" / "settings.md").read_text(encoding="utf-8")
     assert page == reference.settings(), "run python docs/build_reference.py"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
+def test_quoted_commands_exist(page):
+    text = page.read_text(encoding="utf-8")
+    known = {command.split()[-1] for command in reference.commands()}
+    quoted = re.findall(r"python\s+-m\s+(experiments\.\w+)", text)
+    for code in re.findall(r"```sh\n.*?```|`[^`\n]+`", text, re.DOTALL):
+        quoted += re.findall(r"(?:^ *|`|bin/)regtorch ([a-z]+)\b", code, re.MULTILINE)
+    assert set(quoted) <= known
 
 
 def test_every_rule_has_its_entry():
