@@ -78,6 +78,18 @@ def test_a_range_is_searched_and_zero_freezes(inputs, tmp_path, method):
     assert method.problems[-1].searched.free == [0, 1, 2, 3, 4, 5, 7, 8]
 
 
+def test_the_papers_alternative_parameters_need_all_nine(inputs, tmp_path, method, capsys):
+    run(REGISTER.format(i=inputs, o=tmp_path) + " --parameters detector")
+    assert method.problems[-1].unknowns.names[3:6] == ("x_d", "y_d", "z_d")
+    run(REGISTER.format(i=inputs, o=tmp_path) + " --parameters patient")
+    assert method.problems[-1].unknowns.names[3:6] == ("x_obj", "y_obj", "z_obj")
+    method.search = method.tiny
+    assert run(REGISTER.format(i=inputs, o=tmp_path / "six") + " --parameters detector --dof 6") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "x_s, y_s, z_s frozen: expected nine degrees of freedom" in line
+    assert not (tmp_path / "six").exists()
+
+
 def test_what_a_search_knows_of_its_errors_is_printed_and_written(inputs, tmp_path, method, capsys):
     def found(problem):
         spread = torch.diag(torch.tensor([0, 0, 50.0**2, 1, 1, 1, 0, 0, 0], dtype=torch.float64))
