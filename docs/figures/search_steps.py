@@ -130,7 +130,7 @@ def draw_screening(path: Path, matcher: Matcher) -> None:
         panels[2].annotate(
             f"{number}", (x, y), (10, 7), textcoords="offset points", color=ORANGE, weight="bold", fontsize=12
         )
-    panels[2].set_title("correlation, 1 and 2: peaks kept")
+    panels[2].set_title("correlation; two peaks")
     figure.colorbar(shown, ax=panels[2], shrink=0.7, label="correlation of gradients")
     for axes in panels[:2]:
         axes.set(xlabel="X (mm)", ylabel="Y (mm)")
