@@ -16,7 +16,7 @@ from PIL import Image
 
 from regtorch import attenuation, make_phantom, register, render
 from regtorch.geometry import Detector, project
-from regtorch.imaging import Radiograph, level
+from regtorch.imaging import Radiograph
 from regtorch.plotting import edge_strength
 from regtorch.registration import Settings, hybrid
 from regtorch.registration.search import screening
@@ -50,7 +50,8 @@ def main(folder: Path) -> None:
     draw_frames(folder / "frames.png")
     draw_screening(folder / "search_screen.png", bone[0])
     draw_climbs(folder / "search_climb.png", bone[0], radiograph, anchor, truth)
-    draw_levels(folder / "search_levels.png", radiograph)
+    finest = Matcher.of(problem, SETTINGS, problem.attenuating, SETTINGS.finest_pixels, Trace())
+    draw_levels(folder / "search_levels.png", [*bone, finest], result.parameters)
     draw_robust(folder / "search_robust.png", bone[-1], result.parameters)
     draw_answer(folder / "search_answer.png", ct, radiograph, result)
     print(f"{result.status}: {result.message}")
@@ -156,31 +157,32 @@ def draw_climbs(path: Path, matcher: Matcher, radiograph: Radiograph, anchor, tr
             *place.mT, c=value, cmap="viridis", vmin=0, vmax=float(values[1].max()), s=45, edgecolor="white"
         )
         axes.plot(*true, "+", color=ORANGE, markersize=20, markeredgewidth=2.5, label=f"{ANCHOR}, true")
-        axes.set(title=title, xlabel="column (pixel of 1.3 mm)", xlim=(-60, columns + 60), ylim=(rows + 60, -60))
+        axes.set(title=title, xlabel="column (pixel of 1.3 mm)", xlim=(-20, columns + 20), ylim=(rows + 20, -20))
         axes.set_facecolor("#dddddd")
-        axes.legend(loc="lower right")
+        axes.legend(loc="lower left")
     panels[0].set_ylabel("row (pixel of 1.3 mm)")
     figure.colorbar(shown, ax=panels, shrink=0.7, label="similarity of bone")
     _save(figure, path)
 
 
-def draw_levels(path: Path, radiograph: Radiograph) -> None:
-    """The radiograph on each level."""
-    sizes = [*(stage.pixels for stage in SETTINGS.levels), SETTINGS.finest_pixels]
+def draw_levels(path: Path, levels: list[Matcher], parameters) -> None:
+    """The radiograph and the DRR of the answer on each level."""
     counts = [*(stage.candidates for stage in SETTINGS.levels), 1]
-    figure, panels = plt.subplots(1, 4, figsize=(10.5, 3.6), layout="constrained")
-    for axes, pixels, count in zip(panels, sizes, counts, strict=True):
-        seen = level(radiograph, pixels)
-        detector = seen.detector
+    figure, panels = plt.subplots(2, 4, figsize=(8.8, 5.8), layout="constrained", sharex=True, sharey=True)
+    for (above, below), matcher, count in zip(panels.T, levels, counts, strict=True):
+        fixed, detector = matcher.fixed, matcher.fixed.detector
         across, down = detector.columns * detector.pixel_mm / 2, detector.rows * detector.pixel_mm / 2
-        axes.imshow(seen.image, cmap="gray", extent=(-across, across, -down, down), interpolation="nearest")
-        axes.set_title(
+        shown = {"cmap": "gray", "extent": (-across, across, -down, down), "interpolation": "nearest"}
+        above.imshow(fixed.image, **shown)
+        below.imshow(render(matcher.volume, parameters, detector, matcher.problem.view), **shown)
+        above.set_title(
             f"{detector.columns} x {detector.rows} pixels\nof {detector.pixel_mm:.1f} mm, "
             f"{count} candidate{'s' * (count > 1)}",
             fontsize=9,
         )
-        axes.set(xlabel="X (mm)")
-    panels[0].set_ylabel("Y (mm)")
+        below.set(xlabel="X (mm)")
+    panels[0, 0].set_ylabel("radiograph: Y (mm)")
+    panels[1, 0].set_ylabel("DRR of bone: Y (mm)")
     _save(figure, path)
 
 
@@ -202,7 +204,7 @@ def draw_robust(path: Path, matcher: Matcher, parameters) -> None:
     for axes in panels:
         axes.set_xlabel(f"column (pixel of {fixed.detector.pixel_mm:.1f} mm)")
     panels[0].set_ylabel("row")
-    _save(figure, path, dpi=72)
+    _save(figure, path)
 
 
 def draw_answer(path: Path, ct, radiograph: Radiograph, result) -> None:
@@ -218,12 +220,13 @@ def draw_answer(path: Path, ct, radiograph: Radiograph, result) -> None:
         axes.set(title=title, xlabel="column (pixel of 1.3 mm)")
     panels[0].set_ylabel("row (pixel of 1.3 mm)")
     _save(figure, path)
-    Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)  # a third of the size
 
 
-def _save(figure, path: Path, dpi: int = 85) -> None:
-    figure.savefig(path, dpi=dpi)
+def _save(figure, path: Path) -> None:
+    """A picture of 256 colours, chosen so that scales of colours stay smooth: a third of the size."""
+    figure.savefig(path, dpi=85)
     plt.close(figure)
+    Image.open(path).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=2).save(path, optimize=True)
 
 
 if __name__ == "__main__":
