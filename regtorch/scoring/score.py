@@ -12,6 +12,7 @@ from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, ray_jacobian
 from regtorch.imaging.volume import Volume
 from regtorch.scoring.cpu import joseph_gram
+from regtorch.scoring.triton import gram as gram_triton
 from regtorch.similarity.gram import (
     FixedGradients,
     NormalEquations,
@@ -19,7 +20,6 @@ from regtorch.similarity.gram import (
     fixed_gradients,
     gradient_gram,
 )
-from regtorch.similarity.triton import gradient_gram as gradient_gram_triton
 
 _PIXELS_AT_ONCE = {"cpu": 1 << 22}
 _PIXELS_ELSEWHERE = 1 << 26
@@ -83,7 +83,8 @@ def _scored(
     chosen = chosen_backend(volume, parameters, method, backend)
     gradients = _prepared(volume, detector, fixed, weight)
     pixels = _PIXELS_AT_ONCE.get(volume.data.device.type, _PIXELS_ELSEWHERE)
-    at_once = max(1, min(_POSES_AT_ONCE, pixels // ((1 + len(free)) * detector.rows * detector.columns)))
+    images = 1 if chosen is triton else 1 + len(free)  # it sees itself to derivatives
+    at_once = max(1, min(_POSES_AT_ONCE, pixels // (images * detector.rows * detector.columns)))
     found = []
     for some in parameters.detach().reshape(-1, 9).split(at_once):
         rays = rays_of(volume, some, detector, view)
@@ -103,11 +104,11 @@ def _gram(
 ) -> tuple[Float[Tensor, "b 2 m m+2"], Float[Tensor, " b"]]:
     if chosen is cpu and method == "joseph":
         return joseph_gram(volume.data, rays, by_free, volume.grid, fixed)
+    if chosen is triton:
+        return gram_triton(volume.data, rays, by_free, volume.grid, fixed, method)
     place = volume.grid, *fixed.root.shape, method
     if by_free is None:
         images = chosen.project(volume.data, rays, *place)
-        if chosen is triton:
-            return gradient_gram_triton(images[:, 0], *fixed)
     else:
         both = chosen.project_with_jacobian(volume.data, rays, by_free, *place)
         images = torch.cat([part.flatten(1, -3) for part in both], dim=1)

@@ -1,7 +1,7 @@
 """Projectors on a GPU, each pixel's line integral and its derivatives in one pass: the torch side.
 
-``kernels.py`` has what runs on the device: Triton, for any GPU that Triton knows, and for none at all with
-``TRITON_INTERPRET=1``. Nothing here waits for the device or looks at a number on it, so a function whose arguments
+``joseph_kernels.py`` and ``kernels.py`` have what runs on the device: Triton, for any GPU that Triton knows, and for
+none at all with ``TRITON_INTERPRET=1``. Nothing here waits for the device or looks at a number on it, so a function whose arguments
 are all there can be captured in a CUDA graph (after one call, which compiles); every call gives the same bits.
 
 Shared arguments: ``data`` in float32 with axes k, j, i, and one of classes before them or none; ``rays`` of
@@ -10,14 +10,18 @@ Shared arguments: ``data`` in float32 with axes k, j, i, and one of classes befo
 
 import math
 import os
+from collections.abc import Sequence
 from importlib.util import find_spec
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from regtorch.drr.triton.slices import BLOCK, BORDER, prepared
+
 _METHODS = ("joseph", "siddon", "trilinear")
 _TILE_ROWS, _TILE_COLUMNS = 8, 16
+_MOST_SLICES = (1 << 15) - 1
 
 
 def why_not(data: Tensor, method: str) -> str:
@@ -30,6 +34,8 @@ def why_not(data: Tensor, method: str) -> str:
         return f"a volume on {data.device}, expected a CUDA device (or TRITON_INTERPRET=1)"
     if data.shape[-3:].numel() >= 1 << 31:
         return f"a volume of {data.shape[-3:].numel()} voxels, expected fewer than {1 << 31}"
+    if max(data.shape[-3:]) > _MOST_SLICES:
+        return f"a volume of {max(data.shape[-3:])} slices, expected at most {_MOST_SLICES}"
     if find_spec("triton") is None:
         return "triton is not installed, expected the package 'triton'"
     return ""
@@ -45,7 +51,7 @@ def project(
 ) -> Float[Tensor, "b classes rows columns"]:
     """Line integrals for twelve numbers per pose."""
     images = data.new_empty(len(rays), data.shape[:-3].numel(), rows, columns)
-    _launch("project", (data, rays, grid, images), data, images, method)
+    _launch("project", (rays, grid, images), data, grid, images, method)
     return images
 
 
@@ -62,9 +68,26 @@ def project_with_jacobian(
     parameters = ray_jacobian.shape[-1]
     images = data.new_empty(len(rays), data.shape[:-3].numel(), rows, columns)
     jacobian = data.new_empty(*images.shape[:2], parameters, rows, columns)
-    tensors = data, rays, ray_jacobian, grid, images, jacobian
-    _launch("project_with_jacobian", tensors, data, images, method, parameters)
+    tensors = rays, ray_jacobian, grid, images, jacobian
+    _launch("project_with_jacobian", tensors, data, grid, images, method, parameters, 1, parameters)
     return images, jacobian
+
+
+def project_as_one(
+    data: Float[Tensor, "*c d h w"],
+    rays: Float[Tensor, "b 12"],
+    ray_jacobian: Float[Tensor, "b 12 p"],
+    grid: Float[Tensor, "2 3"],
+    rows: int,
+    columns: int,
+    method: str,
+) -> Float[Tensor, "b classes 1+p rows columns"]:
+    """As ``project_with_jacobian``, each image followed by its derivatives."""
+    images = 1 + ray_jacobian.shape[-1]
+    both = data.new_empty(len(rays), data.shape[:-3].numel(), images, rows, columns)
+    tensors = rays, ray_jacobian, grid, both, both.view(-1)[rows * columns :]
+    _launch("project_with_jacobian", tensors, data, grid, both[:, :, 0], method, images - 1, images, images)
+    return both
 
 
 def pull_back_rays(
@@ -78,8 +101,9 @@ def pull_back_rays(
 
     Each tile of pixels leaves its own sum, and these are added in the order of the tiles.
     """
-    sums = rays.new_zeros(len(rays), _tiles(image_gradients), 12)
-    _launch("pull_back_rays", (data, rays, grid, image_gradients.to(data), sums), data, image_gradients, method)
+    tiles = math.prod(image_gradients.shape[1:2]) * _tiles(image_gradients, method)
+    sums = rays.new_zeros(len(rays), tiles, 12)
+    _launch("pull_back_rays", (rays, grid, image_gradients.to(data), sums), data, grid, image_gradients, method)
     return sums.sum(1)
 
 
@@ -100,29 +124,69 @@ def pull_back_data(
     scale = torch.where(most == 0, 1, torch.exp2(62 - most.log2().ceil()))
     total = torch.zeros_like(data, dtype=torch.int64, memory_format=torch.contiguous_format)
     scaled = (image_gradients.double() * scale).to(torch.float32)
-    _launch("pull_back_data", (total, rays, grid, scaled), data, image_gradients, method)
+    _launch_per_ray("pull_back_data", (total, rays, grid, scaled), image_gradients, method)
     return (total / scale).to(data.dtype)
 
 
-def _tiles(images: Tensor) -> int:
-    """How many tiles an image has."""
-    rows, columns = images.shape[-2:]
-    return -(-rows // _TILE_ROWS) * -(-columns // _TILE_COLUMNS)
+def _launch(
+    kernel: str, tensors: Sequence[Tensor], data: Tensor, grid: Tensor, images: Tensor, method: str, *more: int
+) -> None:
+    if method == "joseph":
+        _launch_joseph(f"joseph_{kernel}", tensors, data, grid, images, *more)
+    else:
+        _launch_per_ray(kernel, (data, *tensors), images, method, *more)
 
 
-def _launch(kernel: str, tensors: tuple[Tensor, ...], data: Tensor, images: Tensor, method: str, *more: int) -> None:
-    """One program for each tile of each pose."""
+def _launch_per_ray(kernel: str, tensors: Sequence[Tensor], images: Tensor, method: str, *more: int) -> None:
+    """One program for each tile of each pose; the volume is the first tensor."""
     from regtorch.drr.triton import kernels
 
-    d, h, w = data.shape[-3:]
-    channels = images.shape[1]
-    programs = len(images) * _tiles(images)
+    data, (d, h, w), channels = tensors[0], tensors[0].shape[-3:], images.shape[1]
+    programs = len(images) * _tiles(images, "")
     if not programs or not channels:
         return
     steps = 2 * int(math.hypot(*(n + 1 for n in (d, h, w)))) + 2  # as the reference's trilinear has
     with torch.cuda.device_of(data):
         getattr(kernels, kernel)[(programs,)](
-            *(t.detach().to(data.device).contiguous() for t in tensors), w, h, d, *images.shape[-2:], steps, *more,
+            *_there(tensors, data), w, h, d, *images.shape[-2:], steps, *more,
             METHOD=method, CHANNELS=channels, PADDED=1 << (channels - 1).bit_length(),
             TILE_ROWS=_TILE_ROWS, TILE_COLUMNS=_TILE_COLUMNS, num_warps=4, enable_fp_fusion=True,
         )  # fmt: skip
+
+
+def _launch_joseph(
+    kernel: str, tensors: Sequence[Tensor], data: Tensor, grid: Tensor, images: Tensor, *more: int
+) -> None:
+    """One program for each tile of each class of each pose."""
+    from regtorch.drr.triton import joseph_kernels
+
+    d, h, w = data.shape[-3:]
+    programs = images.shape[:2].numel() * _tiles(images, "joseph")
+    if not programs:
+        return
+    sharp = grid.is_cuda or bool((grid[1] > 1).any())  # what is on the device is not waited for
+    slices, tables = prepared(data)
+    room = max(d, h, w) + 1
+    numbers = torch.empty(programs * room, dtype=torch.int16, device=data.device)
+    rows, columns, warps = _tile(images)
+    with torch.cuda.device_of(data):
+        getattr(joseph_kernels, kernel)[(programs,)](
+            slices, tables, numbers, *_there(tensors, data), w, h, d, *images.shape[-2:], images.shape[1], room, *more,
+            BLOCK=BLOCK, BORDER=BORDER, SHARP=sharp, TILE_ROWS=rows, TILE_COLUMNS=columns,
+            num_warps=warps, enable_fp_fusion=True,
+        )  # fmt: skip
+
+
+def _tile(images: Tensor) -> tuple[int, int, int]:
+    """Rows and columns of Joseph's tiles, and the warps that work on one."""
+    return 8, 16, 2
+
+
+def _tiles(images: Tensor, method: str) -> int:
+    """How many tiles an image has."""
+    rows, columns = _tile(images)[:2] if method == "joseph" else (_TILE_ROWS, _TILE_COLUMNS)
+    return -(-images.shape[-2] // rows) * -(-images.shape[-1] // columns)
+
+
+def _there(tensors: Sequence[Tensor], data: Tensor) -> list[Tensor]:
+    return [t.detach().to(data.device).contiguous() for t in tensors]

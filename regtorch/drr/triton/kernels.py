@@ -1,4 +1,4 @@
-"""The kernels themselves: a program is a tile of pixels of one pose, with every channel.
+"""The kernels of rays that are followed by themselves: a program is a tile of pixels of one pose, with every channel.
 
 Tiles are numbered along one axis of the grid, pose after pose. All setup is in float64, all sums are in float32.
 """
@@ -8,12 +8,12 @@ from typing import no_type_check
 import triton
 import triton.language as tl
 
-from regtorch.drr.triton.joseph import joseph
+from regtorch.drr.triton.joseph_adjoint import joseph_adjoint
 from regtorch.drr.triton.siddon import siddon
 from regtorch.drr.triton.trilinear import trilinear
 
 # Compiled once for all shapes: a 1 taken for a constant would have no type.
-_SHAPES = ["w", "h", "d", "rows", "columns", "steps", "parameters"]
+_SHAPES = ["w", "h", "d", "rows", "columns", "steps", "parameters", "per_image", "per_jacobian"]
 
 
 @triton.jit(do_not_specialize=_SHAPES)
@@ -36,11 +36,14 @@ def project(
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def project_with_jacobian(
-    data, rays, ray_jacobian, grid, images, jacobian, w, h, d, rows, columns, steps, parameters,
+    data, rays, ray_jacobian, grid, images, jacobian, w, h, d, rows, columns, steps, parameters, per_image, per_jacobian,
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
-    """Line integrals to ``images`` and their derivatives by each parameter to ``jacobian``."""
+    """Line integrals to ``images`` and their derivatives by each parameter to ``jacobian``.
+
+    ``per_image`` and ``per_jacobian`` tell how many images lie between those of one pose, or class, and the next.
+    """
     pose, _, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     nothing = tl.zeros([PADDED, TILE_ROWS * TILE_COLUMNS], tl.float32)
     value, s_i, s_j, s_k, p_i, p_j, p_k = _line(
@@ -48,13 +51,13 @@ def project_with_jacobian(
     )
     mask = channels & pixels[None, :]
     image = pose * CHANNELS + channel
-    tl.store(images + (image * rows + row[None, :]) * columns + column[None, :], value, mask=mask)
+    tl.store(images + (image * per_image * rows + row[None, :]) * columns + column[None, :], value, mask=mask)
     for parameter in range(parameters):
         twelve = ray_jacobian + pose * 12 * parameters + parameter
         i, j, k = _motion(twelve, row, column, parameters)
         change = s_i * _number(twelve) + s_j * _number(twelve + parameters) + s_k * _number(twelve + 2 * parameters)
         change += p_i * i + p_j * j + p_k * k
-        at = ((image * parameters + parameter) * rows + row[None, :]) * columns + column[None, :]
+        at = ((image * per_jacobian + parameter) * rows + row[None, :]) * columns + column[None, :]
         tl.store(jacobian + at, change, mask=mask)
 
 
@@ -131,9 +134,9 @@ def _line(
     volume = data + channel * (w.to(tl.int64) * h * d)
     if METHOD == "joseph":
         sharp_i, sharp_j, sharp_k = _number(grid + 3), _number(grid + 4), _number(grid + 5)
-        return joseph(
+        joseph_adjoint(
             volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, mm_i, mm_j, mm_k, sharp_i, sharp_j, sharp_k,
-            w, h, d, MODE,
+            w, h, d,
         )  # fmt: skip
     elif METHOD == "siddon":
         return siddon(volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, mm_i, mm_j, mm_k, w, h, d, MODE)

@@ -1,4 +1,7 @@
-"""The sums behind gradient correlation on a GPU, in one pass over each image, its gradients never stored."""
+"""The sums behind gradient correlation on a GPU, in one pass over each image, its gradients never stored.
+
+Blocks of pixels are summed in float32 and the blocks in float64, always in the same order.
+"""
 
 import os
 from importlib.util import find_spec
@@ -7,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-_BLOCK = 1024
+_BAND, _WIDTH, _IMAGES = 32, 64, 4
 
 
 def can_sum(images: Tensor) -> bool:
@@ -20,18 +23,43 @@ def can_sum(images: Tensor) -> bool:
 def gradient_gram(
     images: Float[Tensor, "n h w"], fixed: Float[Tensor, "2 h w"], root: Float[Tensor, "h w"]
 ) -> tuple[Float[Tensor, "n 2 1 3"], Float[Tensor, " n"]]:
-    """As ``similarity.cpu.gradient_gram``, on the images' device.
-
-    Blocks of pixels are summed in float32 and the blocks in float64, always in the same order.
-    """
+    """As ``similarity.cpu.gradient_gram``, on the images' device."""
     from regtorch.similarity.triton import kernels
 
     n, rows, columns = images.shape
-    blocks = -(-rows * columns // _BLOCK)
-    parts = images.new_zeros(n, blocks, 7, dtype=torch.float64)
+    blocks = _blocks(rows, columns)
+    parts = images.new_empty(n, blocks, 7, dtype=torch.float64)
     if parts.numel():
         tensors = (t.detach().contiguous() for t in (images, fixed, root, parts))
         with torch.cuda.device_of(images):
-            kernels.gradient_gram[(n * blocks,)](*tensors, rows, columns, BLOCK=_BLOCK, enable_fp_fusion=True)
+            kernels.gradient_sums[(-(-n // _IMAGES) * blocks,)](
+                *tensors, n, rows, columns, _BAND, IMAGES=_IMAGES, WIDTH=_WIDTH, num_warps=2, enable_fp_fusion=True
+            )
     sums = parts.sum(1)
     return sums[:, :6].view(n, 2, 1, 3), (sums[:, 6] / max(1, rows * columns)).sqrt()
+
+
+def gradient_grams(
+    images: Float[Tensor, "n m h w"], fixed: Float[Tensor, "2 h w"], root: Float[Tensor, "h w"]
+) -> tuple[Float[Tensor, "n 2 m m+2"], Float[Tensor, " n"]]:
+    """``similarity.gram.gradient_gram``, on the images' device."""
+    from regtorch.similarity.triton import kernels
+
+    n, m, rows, columns = images.shape
+    blocks, height = _blocks(rows, columns), max(16, 1 << (m + 1).bit_length())
+    parts, squares = images.new_empty(n, blocks, 2, height, height), images.new_empty(n, blocks)
+    if parts.numel():
+        tensors = (t.detach().contiguous() for t in (images, fixed, root, parts, squares))
+        with torch.cuda.device_of(images):
+            kernels.gradient_products[(n * blocks,)](
+                *tensors, m, rows, columns, _BAND,
+                HEIGHT=height, WIDTH=_WIDTH, PRECISION="ieee", num_warps=4, enable_fp_fusion=True,
+            )  # fmt: skip
+    order = [m, m + 1, *range(m)]
+    sums = parts.sum(1, dtype=torch.float64)[:, :, :m, order]
+    return sums, (squares.sum(1, dtype=torch.float64) / max(1, rows * columns)).sqrt()
+
+
+def _blocks(rows: int, columns: int) -> int:
+    """How many blocks of pixels an image is summed in."""
+    return -(-rows // _BAND) * -(-columns // _WIDTH)
