@@ -83,8 +83,9 @@ def _scored(
     chosen = chosen_backend(volume, parameters, method, backend)
     gradients = _prepared(volume, detector, fixed, weight)
     pixels = _PIXELS_AT_ONCE.get(volume.data.device.type, _PIXELS_ELSEWHERE)
-    images = 1 if chosen is triton else 1 + len(free)  # it sees itself to derivatives
-    at_once = max(1, min(_POSES_AT_ONCE, pixels // (images * detector.rows * detector.columns)))
+    at_once = max(1, min(_POSES_AT_ONCE, pixels // ((1 + len(free)) * detector.rows * detector.columns)))
+    if chosen is triton:
+        at_once = _POSES_AT_ONCE  # it bounds its memory itself
     found = []
     for some in parameters.detach().reshape(-1, 9).split(at_once):
         rays = rays_of(volume, some, detector, view)

@@ -1,4 +1,4 @@
-"""Poses in, sums of gradient images out: few images with their derivatives are there at a time, in the GPU's cache."""
+"""Poses in, sums of gradient images out: a bounded number of images and derivatives is there at a time."""
 
 import torch
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from regtorch.drr import triton as drr
 from regtorch.similarity import triton as similarity
 from regtorch.similarity.gram import FixedGradients
 
-_PIXELS_AT_ONCE = 1 << 24
+_PIXELS_AT_ONCE = 1 << 26
 
 
 def gram(
@@ -21,11 +21,15 @@ def gram(
 ) -> tuple[Float[Tensor, "b 2 m m+2"], Float[Tensor, " b"]]:
     """``similarity.gram.gradient_gram`` of DRRs and, unless None, of their derivatives."""
     place = grid, *fixed.root.shape, method
-    if ray_jacobian is None:
-        return similarity.gradient_gram(drr.project(data, rays, *place)[:, 0], *fixed)
-    at_once = max(1, _PIXELS_AT_ONCE // ((1 + ray_jacobian.shape[2]) * fixed.root.numel()))
+    images = 1 if ray_jacobian is None else 1 + ray_jacobian.shape[2]
+    at_once = max(1, _PIXELS_AT_ONCE // max(1, images * fixed.root.numel()))
     found = []
-    for some in zip(rays.split(at_once), ray_jacobian.split(at_once), strict=True):
-        found.append(similarity.gradient_grams(drr.project_as_one(data, *some, *place)[:, 0], *fixed))
+    for first in range(0, max(1, len(rays)), at_once):
+        some = rays[first : first + at_once]
+        if ray_jacobian is None:
+            found.append(similarity.gradient_gram(drr.project(data, some, *place)[:, 0], *fixed))
+        else:
+            both = drr.project_as_one(data, some, ray_jacobian[first : first + at_once], *place)
+            found.append(similarity.gradient_grams(both[:, 0], *fixed))
     grams, magnitudes = zip(*found, strict=True)
     return torch.cat(grams), torch.cat(magnitudes)

@@ -1,8 +1,9 @@
 """Projectors on a GPU, each pixel's line integral and its derivatives in one pass: the torch side.
 
 ``joseph_kernels.py`` and ``kernels.py`` have what runs on the device: Triton, for any GPU that Triton knows, and for
-none at all with ``TRITON_INTERPRET=1``. Nothing here waits for the device or looks at a number on it, so a function whose arguments
-are all there can be captured in a CUDA graph (after one call, which compiles); every call gives the same bits.
+none at all with ``TRITON_INTERPRET=1``. Nothing here waits for the device or looks at a number on it, so a function
+whose arguments are all there can be captured in a CUDA graph (after one call, which compiles); every call gives the
+same bits.
 
 Shared arguments: ``data`` in float32 with axes k, j, i, and one of classes before them or none; ``rays`` of
 ``cone_beam_rays`` and ``grid`` of the volume in float64; ``method`` "joseph", "siddon" or "trilinear".
@@ -20,8 +21,11 @@ from torch import Tensor
 from regtorch.drr.triton.slices import BLOCK, BORDER, prepared
 
 _METHODS = ("joseph", "siddon", "trilinear")
-_TILE_ROWS, _TILE_COLUMNS = 8, 16
+_OF_RAYS = 8, 16
 _MOST_SLICES = (1 << 15) - 1
+_RECORD, _SURVEYED = 32, 64
+_OF_VALUES, _OF_SLOPES = (16, 16, 2), (8, 16, 2)
+"""Rows and columns of the tiles of Joseph's method, and the warps that work on one."""
 
 
 def why_not(data: Tensor, method: str) -> str:
@@ -101,7 +105,8 @@ def pull_back_rays(
 
     Each tile of pixels leaves its own sum, and these are added in the order of the tiles.
     """
-    tiles = math.prod(image_gradients.shape[1:2]) * _tiles(image_gradients, method)
+    joseph = method == "joseph"
+    tiles = _tiles(image_gradients, _OF_SLOPES if joseph else _OF_RAYS) * (image_gradients.shape[1] if joseph else 1)
     sums = rays.new_zeros(len(rays), tiles, 12)
     _launch("pull_back_rays", (rays, grid, image_gradients.to(data), sums), data, grid, image_gradients, method)
     return sums.sum(1)
@@ -142,7 +147,7 @@ def _launch_per_ray(kernel: str, tensors: Sequence[Tensor], images: Tensor, meth
     from regtorch.drr.triton import kernels
 
     data, (d, h, w), channels = tensors[0], tensors[0].shape[-3:], images.shape[1]
-    programs = len(images) * _tiles(images, "")
+    programs = len(images) * _tiles(images, _OF_RAYS)
     if not programs or not channels:
         return
     steps = 2 * int(math.hypot(*(n + 1 for n in (d, h, w)))) + 2  # as the reference's trilinear has
@@ -150,7 +155,7 @@ def _launch_per_ray(kernel: str, tensors: Sequence[Tensor], images: Tensor, meth
         getattr(kernels, kernel)[(programs,)](
             *_there(tensors, data), w, h, d, *images.shape[-2:], steps, *more,
             METHOD=method, CHANNELS=channels, PADDED=1 << (channels - 1).bit_length(),
-            TILE_ROWS=_TILE_ROWS, TILE_COLUMNS=_TILE_COLUMNS, num_warps=4, enable_fp_fusion=True,
+            TILE_ROWS=_OF_RAYS[0], TILE_COLUMNS=_OF_RAYS[1], num_warps=4, enable_fp_fusion=True,
         )  # fmt: skip
 
 
@@ -161,31 +166,31 @@ def _launch_joseph(
     from regtorch.drr.triton import joseph_kernels
 
     d, h, w = data.shape[-3:]
-    programs = images.shape[:2].numel() * _tiles(images, "joseph")
+    rows, columns, warps = _OF_VALUES if kernel == "joseph_project" else _OF_SLOPES
+    programs = images.shape[:2].numel() * _tiles(images, (rows, columns))
     if not programs:
         return
     sharp = grid.is_cuda or bool((grid[1] > 1).any())  # what is on the device is not waited for
     slices, tables = prepared(data)
     room = max(d, h, w) + 1
     numbers = torch.empty(programs * room, dtype=torch.int16, device=data.device)
-    rows, columns, warps = _tile(images)
+    records = data.new_empty(programs * _RECORD)
+    rays, *others = _there(tensors, data)
+    place = w, h, d, images.shape[:2].numel(), *images.shape[-2:], images.shape[1]
+    tile = {"BORDER": BORDER, "TILE_ROWS": rows, "TILE_COLUMNS": columns, "enable_fp_fusion": True}
     with torch.cuda.device_of(data):
+        joseph_kernels.joseph_survey[(-(-programs // _SURVEYED),)](
+            records, rays, *place, programs, AT_ONCE=_SURVEYED, num_warps=1, **tile
+        )
         getattr(joseph_kernels, kernel)[(programs,)](
-            slices, tables, numbers, *_there(tensors, data), w, h, d, *images.shape[-2:], images.shape[1], room, *more,
-            BLOCK=BLOCK, BORDER=BORDER, SHARP=sharp, TILE_ROWS=rows, TILE_COLUMNS=columns,
-            num_warps=warps, enable_fp_fusion=True,
+            slices, tables, numbers, records, rays, *others, *place, room, *more,
+            BLOCK=BLOCK, SHARP=sharp, num_warps=warps, **tile,
         )  # fmt: skip
 
 
-def _tile(images: Tensor) -> tuple[int, int, int]:
-    """Rows and columns of Joseph's tiles, and the warps that work on one."""
-    return 8, 16, 2
-
-
-def _tiles(images: Tensor, method: str) -> int:
+def _tiles(images: Tensor, tile: tuple[int, ...]) -> int:
     """How many tiles an image has."""
-    rows, columns = _tile(images)[:2] if method == "joseph" else (_TILE_ROWS, _TILE_COLUMNS)
-    return -(-images.shape[-2] // rows) * -(-images.shape[-1] // columns)
+    return -(-images.shape[-2] // tile[0]) * -(-images.shape[-1] // tile[1])
 
 
 def _there(tensors: Sequence[Tensor], data: Tensor) -> list[Tensor]:

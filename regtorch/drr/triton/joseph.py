@@ -4,6 +4,9 @@ A tile's rays are followed together along their main axis m. Between its four co
 reads of a summed-area table tell whether a slice holds anything for it. All slices are looked at as one vector; the
 numbers of those that count are compacted to a list in memory, which the tile then walks along. The border of air around
 each slice makes every read valid.
+
+What is one number for a whole tile, ``survey`` finds beforehand, for many tiles at once, in float64: every thread of a
+tile's program would else do it again.
 """
 
 from typing import no_type_check
@@ -11,38 +14,112 @@ from typing import no_type_check
 import triton
 import triton.language as tl
 
+RECORD = tl.constexpr(32)
+"""Numbers of a tile's record, of which the last are not used."""
 
-SLICES_AT_ONCE = tl.constexpr(128)  # looked at together
+_SLICES_AT_ONCE = tl.constexpr(128)
 _MARGIN = tl.constexpr(0.01)  # voxels, for rounding in float32
 _FLOOR = tl.constexpr(8388607.5)  # 2^23 - 1/2
+_NO_CELL = tl.constexpr(0x4B000000)  # 2^23 as float32
+_EVERYWHERE = tl.constexpr(1e9)
+_MIXED = tl.constexpr(-1)
+
+# Of a record: the axis; between which slices rays run; whether any ray ends in the volume or leaves it sideways; of the
+# first ray its place on the middle slice and its slope along a and b, its way and its end along m; the steps to the next
+# column and row along a, b, m; and place and slope of the four planes that enclose the tile.
+_AXIS, _NEAR, _FAR, _CAREFUL = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2), tl.constexpr(3)
+_A, _DA, _B, _DB = tl.constexpr(4), tl.constexpr(5), tl.constexpr(6), tl.constexpr(7)
+_ALONG, _END, _ACROSS, _DOWN = tl.constexpr(8), tl.constexpr(9), tl.constexpr(10), tl.constexpr(13)
+_LOW_A, _HIGH_A, _LOW_B, _HIGH_B = tl.constexpr(16), tl.constexpr(18), tl.constexpr(20), tl.constexpr(22)
+
+
+@triton.jit
+@no_type_check
+def survey(record, twelve, there, top, left, bottom, right, w, h, d, BORDER: tl.constexpr):
+    """The records of many tiles, each of one pose, whose corners are given in float64.
+
+    The lowest of several lines is concave, so that between the first slice and the last no ray is below the chord.
+    Rays that do not all run along one axis the same way may leave what their corners enclose: the tile is mixed.
+    """
+    axis = _main_axis(twelve, top, left)
+    uniform = (axis == _main_axis(twelve, top, right)) & (axis == _main_axis(twelve, bottom, left))
+    uniform = uniform & (axis == _main_axis(twelve, bottom, right))
+    axis = axis % 3
+    ia, ib = tl.where(axis == 0, 1, 0), tl.where(axis == 2, 1, 2)
+    n_m, n_a, n_b = _size(axis, w, h, d), _size(ia, w, h, d), _size(ib, w, h, d)
+    source, middle = tl.load(twelve + axis), n_m // 2
+    nothing, everything = source * 0.0 - 1e300, source * 0.0 + 1e300
+    first_end, last_end = everything, nothing
+    low_a0, high_a0, low_b0, high_b0 = everything, nothing, everything, nothing
+    low_a1, high_a1, low_b1, high_b1 = everything, nothing, everything, nothing
+    for corner in tl.static_range(4):
+        row, column = bottom if corner // 2 == 1 else top, right if corner % 2 == 1 else left
+        along = _direction(twelve, axis, row, column)
+        first_end, last_end = tl.minimum(first_end, source + along), tl.maximum(last_end, source + along)
+        one_over = 1.0 / tl.where(along == 0, 1.0, along)
+        da, db = _direction(twelve, ia, row, column) * one_over, _direction(twelve, ib, row, column) * one_over
+        a0, b0 = tl.load(twelve + ia) + BORDER - source * da, tl.load(twelve + ib) + BORDER - source * db
+        a1, b1 = a0 + (n_m - 1.0) * da, b0 + (n_m - 1.0) * db
+        low_a0, high_a0, low_b0, high_b0 = _wider(low_a0, high_a0, low_b0, high_b0, a0, b0)
+        low_a1, high_a1, low_b1, high_b1 = _wider(low_a1, high_a1, low_b1, high_b1, a1, b1)
+        if corner == 0:
+            _put(record + _A, a0 + middle * da, there)
+            _put(record + _B, b0 + middle * db, there)
+            _put(record + _DA, da, there)
+            _put(record + _DB, db, there)
+            _put(record + _ALONG, along, there)
+            _put(record + _END, source + along, there)
+    _chord(record + _LOW_A, low_a0 - _MARGIN, low_a1 - _MARGIN, n_m, uniform, -_EVERYWHERE, there)
+    _chord(record + _HIGH_A, high_a0 + _MARGIN, high_a1 + _MARGIN, n_m, uniform, _EVERYWHERE, there)
+    _chord(record + _LOW_B, low_b0 - _MARGIN, low_b1 - _MARGIN, n_m, uniform, -_EVERYWHERE, there)
+    _chord(record + _HIGH_B, high_b0 + _MARGIN, high_b1 + _MARGIN, n_m, uniform, _EVERYWHERE, there)
+    near, far = tl.minimum(source, first_end) - _MARGIN, tl.maximum(source, last_end) + _MARGIN
+    whole = (tl.minimum(source, last_end) + _MARGIN < -0.5) & (tl.maximum(source, first_end) - _MARGIN > n_m - 0.5)
+    within_a = (tl.minimum(low_a0, low_a1) > 1 + _MARGIN) & (tl.maximum(high_a0, high_a1) < n_a + BORDER - _MARGIN)
+    within_b = (tl.minimum(low_b0, low_b1) > 1 + _MARGIN) & (tl.maximum(high_b0, high_b1) < n_b + BORDER - _MARGIN)
+    _put(record + _AXIS, tl.where(uniform, axis, _MIXED), there)
+    _put(record + _NEAR, tl.where(uniform, near, -_EVERYWHERE), there)
+    _put(record + _FAR, tl.where(uniform, far, _EVERYWHERE), there)
+    _put(record + _CAREFUL, tl.where(uniform & whole & within_a & within_b, 0, 1), there)
+    for n in tl.static_range(3):
+        which = ia if n == 0 else (ib if n == 1 else axis)
+        _put(record + _ACROSS + n, tl.load(twelve + 6 + which), there)
+        _put(record + _DOWN + n, tl.load(twelve + 9 + which), there)
+
+
+@triton.jit
+@no_type_check
+def _wider(low_a, high_a, low_b, high_b, a, b):
+    return tl.minimum(low_a, a), tl.maximum(high_a, a), tl.minimum(low_b, b), tl.maximum(high_b, b)
+
+
+@triton.jit
+@no_type_check
+def _chord(at, first, last, slices, uniform, otherwise, there):
+    """Place on the first slice, and slope."""
+    _put(at, tl.where(uniform, first, otherwise), there)
+    _put(at + 1, tl.where(uniform, (last - first) / tl.maximum(slices - 1, 1), 0.0), there)
 
 
 @triton.jit
 @no_type_check
 def joseph(
-    slices, tables, numbers, twelve, grid, channel, channels, row0, column0, last_row, last_column, row, column, w, h, d,
+    slices, tables, numbers, record, twelve, grid, channel, channels, row0, column0, row, column, w, h, d,
     BLOCK: tl.constexpr, BORDER: tl.constexpr, SHARP: tl.constexpr, GRADIENT: tl.constexpr, PIXELS: tl.constexpr,
 ):  # fmt: skip
     """Per pixel: the line integral, and its derivative by source and pixel where ``GRADIENT``.
 
-    ``row0`` to ``last_row`` and ``column0`` to ``last_column`` are the corners of the tile, ``row`` and ``column`` its
-    pixels in float64. Rays of a tile that all run along one axis the same way are followed along that; else along each
-    axis in turn those whose it is.
+    The tile begins at ``row0`` and ``column0``. A mixed one is followed along each axis in turn, each time by those
+    of its rays whose it is.
     """
-    top, left = row0.to(tl.float64), column0.to(tl.float64)
-    bottom, right = last_row.to(tl.float64), last_column.to(tl.float64)
-    corner = _main_axis(twelve, top, left)
-    uniform = (corner == _main_axis(twelve, top, right)) & (corner == _main_axis(twelve, bottom, left))
-    uniform = uniform & (corner == _main_axis(twelve, bottom, right))
-    own = _main_axis(twelve, row, column) % 3
     zero = tl.zeros([PIXELS], tl.float32)
     integral, s_i, s_j, s_k, p_i, p_j, p_k = zero, zero, zero, zero, zero, zero, zero
-    first = tl.where(uniform, corner % 3, 0)
-    end = tl.where(uniform, corner % 3 + 1, 3)
-    for axis in range(first, end):
+    only = tl.load(record + _AXIS).to(tl.int32)
+    uniform = only != _MIXED
+    for axis in range(tl.maximum(only, 0), tl.where(uniform, only + 1, 3)):
         value, s_a, s_b, s_m, p_a, p_b, p_m = _along(
-            slices, tables, numbers, twelve, grid, channel, channels, axis, uniform, uniform | (own == axis),
-            top, left, bottom, right, row, column, w, h, d, BLOCK, BORDER, SHARP, GRADIENT, PIXELS,
+            slices, tables, numbers, record, twelve, grid, channel, channels, axis, uniform, row0, column0, row, column,
+            w, h, d, BLOCK, BORDER, SHARP, GRADIENT, PIXELS,
         )  # fmt: skip
         integral += value
         if GRADIENT:
@@ -58,14 +135,14 @@ def joseph(
 @triton.jit
 @no_type_check
 def _along(
-    slices, tables, numbers, twelve, grid, channel, channels, axis, uniform, mine, top, left, bottom, right, row, column,
+    slices, tables, numbers, record, twelve, grid, channel, channels, axis, uniform, row0, column0, row, column,
     w, h, d,
     BLOCK: tl.constexpr, BORDER: tl.constexpr, SHARP: tl.constexpr, GRADIENT: tl.constexpr, PIXELS: tl.constexpr,
 ):  # fmt: skip
-    """The rays that are ``mine`` along one axis; nothing for all others. Derivatives along a, b and m.
+    """The rays of one axis; nothing for all others. Derivatives along a, b and m.
 
     Values need positions in float32, counted from the middle slice. Slopes jump from cell to cell, so for them positions
-    are whole numbers of 2^-32 voxels.
+    are whole numbers of 2^-32 voxels. Offsets are counted modulo 2^32.
     """
     ia, ib = tl.where(axis == 0, 1, 0), tl.where(axis == 2, 1, 2)
     n_m, n_a, n_b = _size(axis, w, h, d), _size(ia, w, h, d), _size(ib, w, h, d)
@@ -73,83 +150,58 @@ def _along(
     area = stride * (n_b + 2 * BORDER)
     stack = slices + (_before(axis, w, h, d, 2 * BORDER) * channels + channel * n_m.to(tl.int64) * area)
     middle = n_m // 2
-    source_a, source_b, source_m = tl.load(twelve + ia), tl.load(twelve + ib), tl.load(twelve + axis)
-    from_source = middle.to(tl.float64) - source_m
-    start_a, start_b = source_a + BORDER, source_b + BORDER
-
-    count, clipped = _list_slices(
-        tables, numbers, twelve, channel, channels, axis, ia, ib, uniform, top, left, bottom, right, w, h, d,
-        BLOCK, BORDER,
-    )  # fmt: skip
-
-    along = _direction(twelve, axis, row, column)
-    mine = mine & (along != 0)
-    along = tl.where(mine, along, 1.0)
-    one_over_along = 1.0 / along
-    slope_a = _direction(twelve, ia, row, column) * one_over_along
-    slope_b = _direction(twelve, ib, row, column) * one_over_along
-    middle_a, middle_b = start_a + from_source * slope_a, start_b + from_source * slope_b
-    near = tl.where(mine, tl.minimum(source_m, source_m + along), 1e30).to(tl.float32)
-    far = tl.where(mine, tl.maximum(source_m, source_m + along), -1e30).to(tl.float32)
-    da, db = slope_a.to(tl.float32), slope_b.to(tl.float32)
-    a0, b0 = middle_a.to(tl.float32), middle_b.to(tl.float32)
-    if GRADIENT:
-        exact_a, exact_b = (middle_a * 4294967296.0).to(tl.int64), (middle_b * 4294967296.0).to(tl.int64)
-        step_a, step_b = (slope_a * 4294967296.0).to(tl.int64), (slope_b * 4294967296.0).to(tl.int64)
-    if SHARP:
-        sharp_a, sharp_b = _number(grid + 3 + ia), _number(grid + 3 + ib)
+    count = _list_slices(tables, numbers, record, channel, channels, axis, n_m, n_a, n_b, w, h, d, BLOCK, BORDER)
 
     zero = tl.zeros([PIXELS], tl.float32)
-    total, sum_a, sum_b, turn_a, turn_b, at_near, at_far = zero, zero, zero, zero, zero, zero, zero
-    coming = tl.load(numbers).to(tl.int32)
-    for n in range(count):
-        m = coming
-        coming = tl.load(numbers + n + 1).to(tl.int32)  # one more is read than there are
-        if GRADIENT:
-            ahead = (m - middle).to(tl.int64)
-            place_a, place_b = exact_a + ahead * step_a, exact_b + ahead * step_b
-            ja, jb = (place_a >> 32).to(tl.int32), (place_b >> 32).to(tl.int32)
-            ja, jb = tl.minimum(tl.maximum(ja, 0), n_a + BORDER), tl.minimum(tl.maximum(jb, 0), n_b + BORDER)
-            fa = place_a.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0)
-            fb = place_b.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0)
+    if GRADIENT:
+        middle_a, middle_b, slope_a, slope_b, along, near, far = _rays(
+            twelve, axis, ia, ib, middle, uniform, row.to(tl.float64), column.to(tl.float64), BORDER
+        )
+        exact_a, exact_b = (middle_a * 4294967296.0).to(tl.int64), (middle_b * 4294967296.0).to(tl.int64)
+        step_a, step_b = (slope_a * 4294967296.0).to(tl.int64), (slope_b * 4294967296.0).to(tl.int64)
+        da, db = slope_a.to(tl.float32), slope_b.to(tl.float32)
+    else:
+        source = tl.load(twelve + axis)
+        if uniform:
+            from_source = (middle.to(tl.float64) - source).to(tl.float32)
+            a0, b0, da, db, near, far = _near_rays(
+                record,
+                source.to(tl.float32),
+                from_source,
+                (row - row0).to(tl.float32),
+                (column - column0).to(tl.float32),
+            )
         else:
-            ahead = (m - middle).to(tl.float32)
-            ja, fa = _cell(a0 + ahead * da, n_a + BORDER)
-            jb, fb = _cell(b0 + ahead * db, n_b + BORDER)
-        if SHARP:
-            fa, fb = (fa - 0.5) * sharp_a + 0.5, (fb - 0.5) * sharp_b + 0.5
-            steep_a = tl.where((fa >= 0) & (fa < 1), sharp_a, 0.0)
-            steep_b = tl.where((fb >= 0) & (fb < 1), sharp_b, 0.0)
-            fa, fb = tl.minimum(tl.maximum(fa, 0.0), 1.0), tl.minimum(tl.maximum(fb, 0.0), 1.0)
-        upper_left = stack + m.to(tl.int64) * area + (jb * stride + ja)
-        v00, v01 = tl.load(upper_left), tl.load(upper_left + 1)
-        v10, v11 = tl.load(upper_left + stride), tl.load(upper_left + stride + 1)
-        upper, lower = v00 + fa * (v01 - v00), v10 + fa * (v11 - v10)
-        value = upper + fb * (lower - upper)
-        share = zero + 1.0
-        if clipped:
-            share = tl.maximum(tl.minimum(far, m + 0.5) - tl.maximum(near, m - 0.5), 0.0)
-        total += share * value
-        if GRADIENT:
-            by_a = share * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
-            by_b = share * (lower - upper)
-            if SHARP:
-                by_a, by_b = by_a * steep_a, by_b * steep_b
-            distance = (m - middle).to(tl.float32)
-            sum_a += by_a
-            sum_b += by_b
-            turn_a += distance * by_a
-            turn_b += distance * by_b
-            if clipped:
-                at_far += tl.where((share > 0) & (far < m + 0.5), value, 0.0)
-                at_near += tl.where((share > 0) & (near > m - 0.5), value, 0.0)
-
+            middle_a, middle_b, slope_a, slope_b, along, near, far = _rays(
+                twelve, axis, ia, ib, middle, uniform, row.to(tl.float64), column.to(tl.float64), BORDER
+            )
+            a0, b0, da, db = (
+                middle_a.to(tl.float32),
+                middle_b.to(tl.float32),
+                slope_a.to(tl.float32),
+                slope_b.to(tl.float32),
+            )
+    sharp_a, sharp_b = _number(grid + 3 + ia), _number(grid + 3 + ib)
+    if GRADIENT:
+        place_a, place_b, move_a, move_b = exact_a, exact_b, step_a, step_b
+    else:
+        place_a, place_b, move_a, move_b = a0, b0, da, db
+    if tl.load(record + _CAREFUL) != 0:
+        total, sum_a, sum_b, turn_a, turn_b, at_near, at_far = _walk(
+            numbers, count, stack, middle, stride, area, n_a, n_b, place_a, place_b, move_a, move_b, near, far,
+            sharp_a, sharp_b, BORDER, SHARP, GRADIENT, True, PIXELS,
+        )  # fmt: skip
+    else:
+        total, sum_a, sum_b, turn_a, turn_b, at_near, at_far = _walk(
+            numbers, count, stack, middle, stride, area, n_a, n_b, place_a, place_b, move_a, move_b, near, far,
+            sharp_a, sharp_b, BORDER, SHARP, GRADIENT, False, PIXELS,
+        )  # fmt: skip
     mm_a, mm_b, mm_m = _number(grid + ia), _number(grid + ib), _number(grid + axis)
     length = tl.sqrt(da * da * mm_a * mm_a + db * db * mm_b * mm_b + mm_m * mm_m)
     s_a, s_b, s_m, p_a, p_b, p_m = zero, zero, zero, zero, zero, zero
     if GRADIENT:
-        from_source, one_over = from_source.to(tl.float32), one_over_along.to(tl.float32)
-        stretch = total / length
+        from_source = (middle.to(tl.float64) - tl.load(twelve + axis)).to(tl.float32)
+        one_over, stretch = 1.0 / along.to(tl.float32), total / length
         by_slope_a = length * (turn_a + from_source * sum_a) + stretch * da * (mm_a * mm_a)
         by_slope_b = length * (turn_b + from_source * sum_b) + stretch * db * (mm_b * mm_b)
         p_a, p_b = by_slope_a * one_over, by_slope_b * one_over
@@ -162,44 +214,125 @@ def _along(
 
 @triton.jit
 @no_type_check
-def _list_slices(
-    tables, numbers, twelve, channel, channels, axis, ia, ib, uniform, top, left, bottom, right, w, h, d,
-    BLOCK: tl.constexpr, BORDER: tl.constexpr,
+def _walk(
+    numbers, count, stack, middle, stride, area, n_a, n_b, place_a, place_b, move_a, move_b, near, far, sharp_a, sharp_b,
+    BORDER: tl.constexpr, SHARP: tl.constexpr, GRADIENT: tl.constexpr, CAREFUL: tl.constexpr, PIXELS: tl.constexpr,
 ):  # fmt: skip
-    """The slices that hold anything between the corner rays, to ``numbers``; how many, and whether rays end in any.
-
-    The corners enclose rays along other axes or the other way round nowhere: then whole slices count.
+    """Sums over the slices in ``numbers``: of values, of slopes and of these times the distance from the middle, and
+    the values where rays end. Where no ray ends in the volume or leaves it sideways one need not be ``CAREFUL``.
     """
-    n_m, n_a, n_b = _size(axis, w, h, d), _size(ia, w, h, d), _size(ib, w, h, d)
+    zero = tl.zeros([PIXELS], tl.float32)
+    last_a, last_b = (n_a + BORDER).to(tl.float32), (n_b + BORDER).to(tl.float32)
+    too_many = (stride + 1) * _NO_CELL
+
+    total, sum_a, sum_b, turn_a, turn_b, at_near, at_far = zero, zero, zero, zero, zero, zero, zero
+    coming = tl.load(numbers).to(tl.int32)
+    for n in range(count):
+        m = coming
+        coming = tl.load(numbers + n + 1).to(tl.int32)  # one more is read than there are
+        if GRADIENT:
+            ahead = (m - middle).to(tl.int64)
+            at_a, at_b = place_a + ahead * move_a, place_b + ahead * move_b
+            ja, jb = (at_a >> 32).to(tl.int32), (at_b >> 32).to(tl.int32)
+            if CAREFUL:
+                ja, jb = tl.minimum(tl.maximum(ja, 0), n_a + BORDER), tl.minimum(tl.maximum(jb, 0), n_b + BORDER)
+            fa = at_a.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0)
+            fb = at_b.to(tl.uint32).to(tl.float32) * (1.0 / 4294967296.0)
+            first = m * area
+        else:
+            ahead = (m - middle).to(tl.float32)
+            ja, fa = _cell(place_a + ahead * move_a, last_a, CAREFUL)
+            jb, fb = _cell(place_b + ahead * move_b, last_b, CAREFUL)
+            first = m * area - too_many
+        if SHARP:
+            fa, fb = (fa - 0.5) * sharp_a + 0.5, (fb - 0.5) * sharp_b + 0.5
+            steep_a = tl.where((fa >= 0) & (fa < 1), sharp_a, 0.0)
+            steep_b = tl.where((fb >= 0) & (fb < 1), sharp_b, 0.0)
+            fa, fb = tl.minimum(tl.maximum(fa, 0.0), 1.0), tl.minimum(tl.maximum(fb, 0.0), 1.0)
+        upper_left = stack + (first + jb * stride + ja).to(tl.uint32)
+        v00, v01 = tl.load(upper_left), tl.load(upper_left + 1)
+        v10, v11 = tl.load(upper_left + stride), tl.load(upper_left + stride + 1)
+        upper, lower = v00 + fa * (v01 - v00), v10 + fa * (v11 - v10)
+        value = upper + fb * (lower - upper)
+        share = 1.0
+        if CAREFUL:
+            share = tl.maximum(tl.minimum(far, m + 0.5) - tl.maximum(near, m - 0.5), 0.0)
+        total += share * value
+        if GRADIENT:
+            by_a = share * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
+            by_b = share * (lower - upper)
+            if SHARP:
+                by_a, by_b = by_a * steep_a, by_b * steep_b
+            distance = (m - middle).to(tl.float32)
+            sum_a += by_a
+            sum_b += by_b
+            turn_a += distance * by_a
+            turn_b += distance * by_b
+            if CAREFUL:
+                at_far += tl.where((share > 0) & (far < m + 0.5), value, 0.0)
+                at_near += tl.where((share > 0) & (near > m - 0.5), value, 0.0)
+    return total, sum_a, sum_b, turn_a, turn_b, at_near, at_far
+
+
+@triton.jit
+@no_type_check
+def _rays(twelve, axis, ia, ib, middle, uniform, row, column, BORDER: tl.constexpr):
+    """Of each ray, in float64: its place on the middle slice and its slope along a and b, its way along m, its ends.
+
+    A ray of another axis ends before it begins.
+    """
+    along = _direction(twelve, axis, row, column)
+    mine = along != 0
+    if uniform == 0:
+        mine = mine & (_main_axis(twelve, row, column) % 3 == axis)
+    along = tl.where(mine, along, 1.0)
+    one_over = 1.0 / along
+    slope_a, slope_b = _direction(twelve, ia, row, column) * one_over, _direction(twelve, ib, row, column) * one_over
+    source = tl.load(twelve + axis)
+    from_source = middle.to(tl.float64) - source
+    middle_a = tl.load(twelve + ia) + BORDER + from_source * slope_a
+    middle_b = tl.load(twelve + ib) + BORDER + from_source * slope_b
+    near = tl.where(mine, tl.minimum(source, source + along), 1e30).to(tl.float32)
+    far = tl.where(mine, tl.maximum(source, source + along), -1e30).to(tl.float32)
+    return middle_a, middle_b, slope_a, slope_b, along, near, far
+
+
+@triton.jit
+@no_type_check
+def _near_rays(record, source, from_source, row, column):
+    """As ``_rays`` of a tile of one axis, in float32: places and slopes differ little from those of its first ray.
+
+    With d = along + column c_m + row r_m the slope's difference is (column (c_a - da c_m) + row (r_a - da r_m)) / d.
+    """
+    c_a, c_b, c_m = tl.load(record + _ACROSS), tl.load(record + _ACROSS + 1), tl.load(record + _ACROSS + 2)
+    r_a, r_b, r_m = tl.load(record + _DOWN), tl.load(record + _DOWN + 1), tl.load(record + _DOWN + 2)
+    da, db = tl.load(record + _DA), tl.load(record + _DB)
+    ahead = column * c_m + row * r_m
+    one_over = 1.0 / (tl.load(record + _ALONG) + ahead)
+    more_a = (column * (c_a - da * c_m) + row * (r_a - da * r_m)) * one_over
+    more_b = (column * (c_b - db * c_m) + row * (r_b - db * r_m)) * one_over
+    a, b = tl.load(record + _A) + from_source * more_a, tl.load(record + _B) + from_source * more_b
+    end = tl.load(record + _END) + ahead
+    return a, b, da + more_a, db + more_b, tl.minimum(source, end), tl.maximum(source, end)
+
+
+@triton.jit
+@no_type_check
+def _list_slices(
+    tables, numbers, record, channel, channels, axis, n_m, n_a, n_b, w, h, d, BLOCK: tl.constexpr, BORDER: tl.constexpr
+):
+    """The slices that hold anything between the corner rays, to ``numbers``; how many there are."""
     wide = (n_a + 2 * BORDER + BLOCK - 2) // BLOCK + 1
     high = (n_b + 2 * BORDER + BLOCK - 2) // BLOCK + 1
     before = _blocks_before(axis, w, h, d, BLOCK, BORDER)
     table = tables + (before * channels + channel * n_m.to(tl.int64) * (wide * high))
-    source = tl.load(twelve + axis).to(tl.float32)
-    middle = n_m // 2
-    a00, da00, b00, db00, end00 = _corner(twelve, axis, ia, ib, middle, top, left, BORDER)
-    a01, da01, b01, db01, end01 = _corner(twelve, axis, ia, ib, middle, top, right, BORDER)
-    a10, da10, b10, db10, end10 = _corner(twelve, axis, ia, ib, middle, bottom, left, BORDER)
-    a11, da11, b11, db11, end11 = _corner(twelve, axis, ia, ib, middle, bottom, right, BORDER)
-    first_end = tl.minimum(tl.minimum(end00, end01), tl.minimum(end10, end11))
-    last_end = tl.maximum(tl.maximum(end00, end01), tl.maximum(end10, end11))
-    near, far = tl.minimum(source, first_end) - _MARGIN, tl.maximum(source, last_end) + _MARGIN
-    whole_from, whole_to = tl.minimum(source, last_end) + _MARGIN, tl.maximum(source, first_end) - _MARGIN
-    clipped = (uniform == 0) | (whole_from > -0.5) | (whole_to < n_m - 0.5)
-
+    near, far = tl.load(record + _NEAR), tl.load(record + _FAR)
     tl.debug_barrier()  # the list of another axis has been read
     count = 0
-    for begin in range(0, n_m, SLICES_AT_ONCE):
-        m = begin + tl.arange(0, SLICES_AT_ONCE)
-        ahead = (m - middle).to(tl.float32)
-        low_a = tl.minimum(tl.minimum(a00 + ahead * da00, a01 + ahead * da01), tl.minimum(a10 + ahead * da10, a11 + ahead * da11))
-        top_a = tl.maximum(tl.maximum(a00 + ahead * da00, a01 + ahead * da01), tl.maximum(a10 + ahead * da10, a11 + ahead * da11))
-        low_b = tl.minimum(tl.minimum(b00 + ahead * db00, b01 + ahead * db01), tl.minimum(b10 + ahead * db10, b11 + ahead * db11))
-        top_b = tl.maximum(tl.maximum(b00 + ahead * db00, b01 + ahead * db01), tl.maximum(b10 + ahead * db10, b11 + ahead * db11))
-        low_a, top_a = tl.where(uniform, low_a - _MARGIN, 0.0), tl.where(uniform, top_a + _MARGIN, 1e9)
-        low_b, top_b = tl.where(uniform, low_b - _MARGIN, 0.0), tl.where(uniform, top_b + _MARGIN, 1e9)
-        la, ha = _block(low_a, n_a, BLOCK, BORDER), _block(top_a, n_a, BLOCK, BORDER) + 1
-        lb, hb = _block(low_b, n_b, BLOCK, BORDER), _block(top_b, n_b, BLOCK, BORDER) + 1
+    for begin in range(0, n_m, _SLICES_AT_ONCE):
+        m = begin + tl.arange(0, _SLICES_AT_ONCE)
+        la, ha = _block(record + _LOW_A, m, n_a, BLOCK, BORDER), _block(record + _HIGH_A, m, n_a, BLOCK, BORDER) + 1
+        lb, hb = _block(record + _LOW_B, m, n_b, BLOCK, BORDER), _block(record + _HIGH_B, m, n_b, BLOCK, BORDER) + 1
         there = (m < n_m) & (m + 0.5 > near) & (m - 0.5 < far)
         at = table + m.to(tl.int64) * (wide * high)
         found = tl.load(at + hb * wide + ha, there, 0) - tl.load(at + lb * wide + ha, there, 0)
@@ -208,22 +341,13 @@ def _list_slices(
         tl.store(numbers + (count + tl.cumsum(one, 0) - one), m.to(tl.int16), found > 0)
         count += tl.sum(one, 0)
     tl.debug_barrier()
-    return count, clipped
+    return count
 
 
 @triton.jit
 @no_type_check
-def _corner(twelve, axis, ia, ib, middle, row, column, BORDER: tl.constexpr):
-    """Of one ray in float32: its place on the middle slice and its slope along a and b, and where its pixel is on m."""
-    along = _direction(twelve, axis, row, column)
-    end = (tl.load(twelve + axis) + along).to(tl.float32)
-    one_over = 1.0 / tl.where(along == 0, 1.0, along).to(tl.float32)
-    from_source = (middle.to(tl.float64) - tl.load(twelve + axis)).to(tl.float32)
-    da = _direction(twelve, ia, row, column).to(tl.float32) * one_over
-    db = _direction(twelve, ib, row, column).to(tl.float32) * one_over
-    a = tl.load(twelve + ia).to(tl.float32) + BORDER + from_source * da
-    b = tl.load(twelve + ib).to(tl.float32) + BORDER + from_source * db
-    return a, da, b, db, end
+def _put(at, value, there):
+    tl.store(at, value.to(tl.float32), there)
 
 
 @triton.jit
@@ -247,16 +371,21 @@ def _main_axis(twelve, row, column):
 
 @triton.jit
 @no_type_check
-def _cell(place, last):
-    """The cell and the fraction in it, clamped to the border of air; an integer is the end of a cell or a beginning."""
-    place = tl.minimum(tl.maximum(place, 1.0), last.to(tl.float32))
+def _cell(place, last, CAREFUL: tl.constexpr):
+    """The cell, counted from ``_NO_CELL``, and the fraction in it; if ``CAREFUL`` clamped to the border of air.
+
+    2^23 + n has the bits of n, those of its exponent beside; an integer is the end of a cell or the beginning of one.
+    """
+    if CAREFUL:
+        place = tl.minimum(tl.maximum(place, 1.0), last)
     whole = place + _FLOOR
-    return whole.to(tl.int32, bitcast=True) & 0x7FFFFF, place - (whole - 8388608.0)
+    return whole.to(tl.int32, bitcast=True), place - (whole - 8388608.0)
 
 
 @triton.jit
 @no_type_check
-def _block(place, n, BLOCK: tl.constexpr, BORDER: tl.constexpr):
+def _block(chord, m, n, BLOCK: tl.constexpr, BORDER: tl.constexpr):
+    place = tl.load(chord) + m.to(tl.float32) * tl.load(chord + 1)
     return tl.minimum(tl.maximum(place, 0.0), (n + BORDER).to(tl.float32)).to(tl.int32) // BLOCK
 
 

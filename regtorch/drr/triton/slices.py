@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 from torch.utils.weak import WeakTensorKeyDictionary
 
-BLOCK = 4
+BLOCK = 2
 """Side of the blocks of cells that the tables tell apart."""
 
 BORDER = 2

@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-_BAND, _WIDTH, _IMAGES = 32, 64, 4
+_BAND = 32
+_WIDTH, _WIDTH_OF_PRODUCTS = 128, 32
 
 
 def can_sum(images: Tensor) -> bool:
@@ -27,13 +28,13 @@ def gradient_gram(
     from regtorch.similarity.triton import kernels
 
     n, rows, columns = images.shape
-    blocks = _blocks(rows, columns)
+    blocks = _blocks(rows, columns, _WIDTH)
     parts = images.new_empty(n, blocks, 7, dtype=torch.float64)
     if parts.numel():
         tensors = (t.detach().contiguous() for t in (images, fixed, root, parts))
         with torch.cuda.device_of(images):
-            kernels.gradient_sums[(-(-n // _IMAGES) * blocks,)](
-                *tensors, n, rows, columns, _BAND, IMAGES=_IMAGES, WIDTH=_WIDTH, num_warps=2, enable_fp_fusion=True
+            kernels.gradient_sums[(n * blocks,)](
+                *tensors, rows, columns, _BAND, WIDTH=_WIDTH, num_warps=2, enable_fp_fusion=True
             )
     sums = parts.sum(1)
     return sums[:, :6].view(n, 2, 1, 3), (sums[:, 6] / max(1, rows * columns)).sqrt()
@@ -46,20 +47,20 @@ def gradient_grams(
     from regtorch.similarity.triton import kernels
 
     n, m, rows, columns = images.shape
-    blocks, height = _blocks(rows, columns), max(16, 1 << (m + 1).bit_length())
+    blocks, height = _blocks(rows, columns, _WIDTH_OF_PRODUCTS), max(16, 1 << (m + 1).bit_length())
     parts, squares = images.new_empty(n, blocks, 2, height, height), images.new_empty(n, blocks)
     if parts.numel():
         tensors = (t.detach().contiguous() for t in (images, fixed, root, parts, squares))
         with torch.cuda.device_of(images):
             kernels.gradient_products[(n * blocks,)](
                 *tensors, m, rows, columns, _BAND,
-                HEIGHT=height, WIDTH=_WIDTH, PRECISION="ieee", num_warps=4, enable_fp_fusion=True,
+                HEIGHT=height, WIDTH=_WIDTH_OF_PRODUCTS, PRECISION="tf32x3", num_warps=1, enable_fp_fusion=True,
             )  # fmt: skip
     order = [m, m + 1, *range(m)]
     sums = parts.sum(1, dtype=torch.float64)[:, :, :m, order]
     return sums, (squares.sum(1, dtype=torch.float64) / max(1, rows * columns)).sqrt()
 
 
-def _blocks(rows: int, columns: int) -> int:
+def _blocks(rows: int, columns: int, width: int) -> int:
     """How many blocks of pixels an image is summed in."""
-    return -(-rows // _BAND) * -(-columns // _WIDTH)
+    return -(-rows // _BAND) * -(-columns // width)

@@ -6,28 +6,23 @@ import triton
 import triton.language as tl
 
 
-@triton.jit(do_not_specialize=["count", "rows", "columns", "band"])
+@triton.jit(do_not_specialize=["rows", "columns", "band"])
 @no_type_check
-def gradient_sums(
-    images, fixed, root, parts, count, rows, columns, band,
-    IMAGES: tl.constexpr, WIDTH: tl.constexpr,
-):  # fmt: skip
+def gradient_sums(images, fixed, root, parts, rows, columns, band, WIDTH: tl.constexpr):
     """To ``parts``, seven per image and block: m f, m r and m m of the x-gradient m times r, of y, and the squares.
 
-    A program has a block of ``band`` rows and ``WIDTH`` columns of ``IMAGES`` images.
+    A program has a block of ``band`` rows and ``WIDTH`` columns of one image.
     """
-    group, block, blocks, first, end, column, inside = _block(rows, columns, band, WIDTH)
-    number = group * IMAGES + tl.arange(0, IMAGES).to(tl.int64)[:, None]
-    there = (number < count) & inside
+    number, block, blocks, first, end, column, inside = _block(rows, columns, band, WIDTH)
     pixels = rows.to(tl.int64) * columns
     image = images + number * pixels
     above, here = tl.maximum(first - 1, 0), first
-    turn, smooth, _ = _row(image, above, column, columns, there)
-    turn_here, smooth_here, value = _row(image, here, column, columns, there)
-    zero = tl.zeros([IMAGES, WIDTH], tl.float32)
+    turn, smooth, _ = _row(image, above, column, columns, inside)
+    turn_here, smooth_here, value = _row(image, here, column, columns, inside)
+    zero = tl.zeros([WIDTH], tl.float32)
     x_f, x_r, x_x, y_f, y_r, y_y, squares = zero, zero, zero, zero, zero, zero, zero
     for row in range(first, end):
-        turn_next, smooth_next, next_value = _row(image, tl.minimum(row + 1, rows - 1), column, columns, there)
+        turn_next, smooth_next, next_value = _row(image, tl.minimum(row + 1, rows - 1), column, columns, inside)
         at = row * columns + column
         roots = tl.load(root + at, inside, 0.0)
         dx = (turn + 2.0 * turn_here + turn_next) * (0.125 * roots)
@@ -41,15 +36,14 @@ def gradient_sums(
         squares += value * value
         turn, smooth = turn_here, smooth_here
         turn_here, smooth_here, value = turn_next, smooth_next, next_value
-    own = number < count
     part = parts + (number * blocks + block) * 7
-    _store(part, x_f, own)
-    _store(part + 1, x_r, own)
-    _store(part + 2, x_x, own)
-    _store(part + 3, y_f, own)
-    _store(part + 4, y_r, own)
-    _store(part + 5, y_y, own)
-    _store(part + 6, squares, own)
+    tl.store(part, tl.sum(x_f, 0).to(tl.float64))
+    tl.store(part + 1, tl.sum(x_r, 0).to(tl.float64))
+    tl.store(part + 2, tl.sum(x_x, 0).to(tl.float64))
+    tl.store(part + 3, tl.sum(y_f, 0).to(tl.float64))
+    tl.store(part + 4, tl.sum(y_r, 0).to(tl.float64))
+    tl.store(part + 5, tl.sum(y_y, 0).to(tl.float64))
+    tl.store(part + 6, tl.sum(squares, 0).to(tl.float64))
 
 
 @triton.jit(do_not_specialize=["m", "rows", "columns", "band"])
@@ -64,6 +58,7 @@ def gradient_products(
     of each group's first image. A program has a block of ``band`` rows and ``WIDTH`` columns.
     """
     group, block, blocks, first, end, column, inside = _block(rows, columns, band, WIDTH)
+    column, inside = column[None, :], inside[None, :]
     line = tl.arange(0, HEIGHT)[:, None]
     there = (line < m) & inside
     pixels = rows.to(tl.int64) * columns
@@ -102,7 +97,7 @@ def _block(rows, columns, band, WIDTH: tl.constexpr):
     blocks = strips * ((rows + band - 1) // band)
     group, block = tl.program_id(0) // blocks, tl.program_id(0) % blocks
     first = (block // strips) * band
-    column = ((block % strips) * WIDTH + tl.arange(0, WIDTH))[None, :]
+    column = (block % strips) * WIDTH + tl.arange(0, WIDTH)
     return group.to(tl.int64), block, blocks, first, tl.minimum(first + band, rows), column, column < columns
 
 
@@ -115,9 +110,3 @@ def _row(image, row, column, columns, there):
     right = tl.load(line + tl.minimum(column + 1, columns - 1), there, 0.0)
     value = tl.load(line + column, there, 0.0)
     return right - left, left + 2.0 * value + right, value
-
-
-@triton.jit
-@no_type_check
-def _store(part, values, own):
-    tl.store(part, tl.sum(values, 1)[:, None].to(tl.float64), own)
