@@ -24,9 +24,9 @@ _NO_CELL = tl.constexpr(0x4B000000)  # 2^23 as float32
 _EVERYWHERE = tl.constexpr(1e9)
 _MIXED = tl.constexpr(-1)
 
-# Of a record: the axis; between which slices rays run; whether any ray ends in the volume or leaves it sideways; of the
-# first ray its place on the middle slice and its slope along a and b, its way and its end along m; the steps to the next
-# column and row along a, b, m; and place and slope of the four planes that enclose the tile.
+# Of a record: the axis; between which slices rays run; whether any ray ends in the volume or leaves it sideways; of
+# the first ray its place on the middle slice and its slope along a and b, its way and its end along m; the steps to the
+# next column and row along a, b, m; and place and slope of the four planes that enclose the tile.
 _AXIS, _NEAR, _FAR, _CAREFUL = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2), tl.constexpr(3)
 _A, _DA, _B, _DB = tl.constexpr(4), tl.constexpr(5), tl.constexpr(6), tl.constexpr(7)
 _ALONG, _END, _ACROSS, _DOWN = tl.constexpr(8), tl.constexpr(9), tl.constexpr(10), tl.constexpr(13)
@@ -141,8 +141,8 @@ def _along(
 ):  # fmt: skip
     """The rays of one axis; nothing for all others. Derivatives along a, b and m.
 
-    Values need positions in float32, counted from the middle slice. Slopes jump from cell to cell, so for them positions
-    are whole numbers of 2^-32 voxels. Offsets are counted modulo 2^32.
+    Values need positions in float32, counted from the middle slice. Slopes jump from cell to cell, so for them
+    positions are whole numbers of 2^-32 voxels. Offsets are counted modulo 2^32.
     """
     ia, ib = tl.where(axis == 0, 1, 0), tl.where(axis == 2, 1, 2)
     n_m, n_a, n_b = _size(axis, w, h, d), _size(ia, w, h, d), _size(ib, w, h, d)
@@ -215,7 +215,8 @@ def _along(
 @triton.jit
 @no_type_check
 def _walk(
-    numbers, count, stack, middle, stride, area, n_a, n_b, place_a, place_b, move_a, move_b, near, far, sharp_a, sharp_b,
+    numbers, count, stack, middle, stride, area, n_a, n_b, place_a, place_b, move_a, move_b, near, far,
+    sharp_a, sharp_b,
     BORDER: tl.constexpr, SHARP: tl.constexpr, GRADIENT: tl.constexpr, CAREFUL: tl.constexpr, PIXELS: tl.constexpr,
 ):  # fmt: skip
     """Sums over the slices in ``numbers``: of values, of slopes and of these times the distance from the middle, and

@@ -41,7 +41,7 @@ def joseph_project(
     BLOCK: tl.constexpr, BORDER: tl.constexpr, SHARP: tl.constexpr, TILE_ROWS: tl.constexpr, TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
     """Line integrals to ``images``."""
-    image, within, pose, channel, row0, column0 = _tile(
+    image, _, pose, channel, row0, column0 = _tile(
         tl.program_id(0), count, rows, columns, channels, TILE_ROWS, TILE_COLUMNS
     )
     row, column, pixels = _pixels(row0, column0, rows, columns, TILE_ROWS, TILE_COLUMNS)
@@ -56,7 +56,8 @@ def joseph_project(
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def joseph_project_with_jacobian(
-    slices, tables, numbers, records, rays, ray_jacobian, grid, images, jacobian, w, h, d, count, rows, columns, channels, room,
+    slices, tables, numbers, records, rays, ray_jacobian, grid, images, jacobian,
+    w, h, d, count, rows, columns, channels, room,
     parameters, per_image, per_jacobian,
     BLOCK: tl.constexpr, BORDER: tl.constexpr, SHARP: tl.constexpr, TILE_ROWS: tl.constexpr, TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
@@ -64,7 +65,7 @@ def joseph_project_with_jacobian(
 
     ``per_image`` and ``per_jacobian`` tell how many images lie between those of one pose, or class, and the next.
     """
-    image, within, pose, channel, row0, column0 = _tile(
+    image, _, pose, channel, row0, column0 = _tile(
         tl.program_id(0), count, rows, columns, channels, TILE_ROWS, TILE_COLUMNS
     )
     row, column, pixels = _pixels(row0, column0, rows, columns, TILE_ROWS, TILE_COLUMNS)

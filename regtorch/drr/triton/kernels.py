@@ -36,7 +36,8 @@ def project(
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def project_with_jacobian(
-    data, rays, ray_jacobian, grid, images, jacobian, w, h, d, rows, columns, steps, parameters, per_image, per_jacobian,
+    data, rays, ray_jacobian, grid, images, jacobian, w, h, d, rows, columns, steps,
+    parameters, per_image, per_jacobian,
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
