@@ -51,9 +51,9 @@ def table(
         _check_parity(bench, scene)
         works = {name: _works(name, scene, bench.scenes.start(scene.detector)) for name in _packages(before)}
         for what in works["regtorch"]:
-            count = len(scene.poses) if what in ("images", "gradient correlation") else max(1, len(scene.poses) // 4)
+            count = len(scene.poses) if what != "with Jacobian" else max(1, len(scene.poses) // 4)
             runs = [Run(name, work[what], count, bench.config.threads) for name, work in works.items()]
-            alternate(runs, bench.config.repeats, bench.config.least_s, bench.config.most_s)
+            _take_turns(runs, bench.config.repeats, bench.config.least_s)
             rows += [_row(scene, what, run.name, run.per_second, runs[-1], run.spread, run.poses) for run in runs]
             target = level.get("targets", {}).get(what)
             rows[-len(runs)]["target"] = target
@@ -63,6 +63,21 @@ def table(
     written = pd.DataFrame([row | of_machine for row in rows])
     written.to_csv(Path(bench.config.out) / "gpu.csv", index=False, float_format="%.6g")
     return [row | {"device": of_machine["device"]} for row in rows]
+
+
+def _take_turns(runs: Sequence[Run], repeats: int, least_s: float) -> None:
+    """As ``alternate``, all poses in each call: what one pose takes tells nothing of many on a GPU."""
+    for run in runs:
+        run.poses, run.seconds = run.most, []
+        run.once()
+        run.calls = max(1, round(least_s / max(run.once(), 1e-9)))
+    for _ in range(repeats):
+        for run in runs:
+            start = time.perf_counter()
+            for _ in range(run.calls):
+                run.work(run.poses)
+            torch.cuda.synchronize()
+            run.seconds.append(time.perf_counter() - start)
 
 
 def _packages(before: str | None) -> list[str]:

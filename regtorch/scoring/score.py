@@ -24,6 +24,7 @@ from regtorch.similarity.gram import (
 _PIXELS_AT_ONCE = {"cpu": 1 << 22}
 _PIXELS_ELSEWHERE = 1 << 26
 _POSES_AT_ONCE = 4096
+_POSES_ON_GPU = 1 << 15
 
 
 def gradient_correlations(
@@ -85,7 +86,7 @@ def _scored(
     pixels = _PIXELS_AT_ONCE.get(volume.data.device.type, _PIXELS_ELSEWHERE)
     at_once = max(1, min(_POSES_AT_ONCE, pixels // ((1 + len(free)) * detector.rows * detector.columns)))
     if chosen is triton:
-        at_once = _POSES_AT_ONCE  # it bounds its memory itself
+        at_once = _POSES_ON_GPU  # what takes more memory than a pose it does for fewer at a time
     found = []
     for some in parameters.detach().reshape(-1, 9).split(at_once):
         rays = rays_of(volume, some, detector, view)

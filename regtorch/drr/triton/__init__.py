@@ -24,8 +24,11 @@ _METHODS = ("joseph", "siddon", "trilinear")
 _OF_RAYS = 8, 16
 _MOST_SLICES = (1 << 15) - 1
 _RECORD, _SURVEYED = 32, 64
-_OF_VALUES, _OF_SLOPES = (16, 16, 2), (8, 16, 2)
-"""Rows and columns of the tiles of Joseph's method, and the warps that work on one."""
+_OF_VALUES, _OF_SLOPES = (8, 16, 1, 96), (8, 16, 2, 96)
+"""Rows and columns of the tiles of Joseph's method, the warps that work on one, and the registers of a thread.
+
+So few registers hold all that the loops need; more would keep fewer tiles in flight.
+"""
 
 
 def why_not(data: Tensor, method: str) -> str:
@@ -166,7 +169,7 @@ def _launch_joseph(
     from regtorch.drr.triton import joseph_kernels
 
     d, h, w = data.shape[-3:]
-    rows, columns, warps = _OF_VALUES if kernel == "joseph_project" else _OF_SLOPES
+    rows, columns, warps, registers = _OF_VALUES if kernel == "joseph_project" else _OF_SLOPES
     programs = images.shape[:2].numel() * _tiles(images, (rows, columns))
     if not programs:
         return
@@ -177,14 +180,17 @@ def _launch_joseph(
     records = data.new_empty(programs * _RECORD)
     rays, *others = _there(tensors, data)
     place = w, h, d, images.shape[:2].numel(), *images.shape[-2:], images.shape[1]
-    tile = {"BORDER": BORDER, "TILE_ROWS": rows, "TILE_COLUMNS": columns, "enable_fp_fusion": True}
+    options = {"num_warps": warps, "enable_fp_fusion": True}
+    if torch.version.cuda:  # other compilers know no such option
+        options["maxnreg"] = registers
     with torch.cuda.device_of(data):
         joseph_kernels.joseph_survey[(-(-programs // _SURVEYED),)](
-            records, rays, *place, programs, AT_ONCE=_SURVEYED, num_warps=1, **tile
-        )
+            records, rays, *place, programs,
+            BORDER=BORDER, TILE_ROWS=rows, TILE_COLUMNS=columns, AT_ONCE=_SURVEYED, num_warps=1, enable_fp_fusion=True,
+        )  # fmt: skip
         getattr(joseph_kernels, kernel)[(programs,)](
             slices, tables, numbers, records, rays, *others, *place, room, *more,
-            BLOCK=BLOCK, SHARP=sharp, num_warps=warps, **tile,
+            BLOCK=BLOCK, BORDER=BORDER, SHARP=sharp, TILE_ROWS=rows, TILE_COLUMNS=columns, **options,
         )  # fmt: skip
 
 

@@ -24,12 +24,14 @@ _NO_CELL = tl.constexpr(0x4B000000)  # 2^23 as float32
 _EVERYWHERE = tl.constexpr(1e9)
 _MIXED = tl.constexpr(-1)
 
-# Of a record: the axis; between which slices rays run; whether any ray ends in the volume or leaves it sideways; of
-# the first ray its place on the middle slice and its slope along a and b, its way and its end along m; the steps to the
-# next column and row along a, b, m; and place and slope of the four planes that enclose the tile.
+# Of a record, in fours: the axis, between which slices rays run, and whether any ends in the volume or leaves it
+# sideways; of the first ray its place on the middle slice and its slope along a and b; its way and its end along m, and
+# the steps to the next column and row along m; these along a and b; and place and slope of the planes that enclose the
+# tile.
 _AXIS, _NEAR, _FAR, _CAREFUL = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2), tl.constexpr(3)
 _A, _DA, _B, _DB = tl.constexpr(4), tl.constexpr(5), tl.constexpr(6), tl.constexpr(7)
-_ALONG, _END, _ACROSS, _DOWN = tl.constexpr(8), tl.constexpr(9), tl.constexpr(10), tl.constexpr(13)
+_ALONG, _END, _ACROSS_M, _DOWN_M = tl.constexpr(8), tl.constexpr(9), tl.constexpr(10), tl.constexpr(11)
+_ACROSS_A, _DOWN_A, _ACROSS_B, _DOWN_B = tl.constexpr(12), tl.constexpr(13), tl.constexpr(14), tl.constexpr(15)
 _LOW_A, _HIGH_A, _LOW_B, _HIGH_B = tl.constexpr(16), tl.constexpr(18), tl.constexpr(20), tl.constexpr(22)
 
 
@@ -63,28 +65,23 @@ def survey(record, twelve, there, top, left, bottom, right, w, h, d, BORDER: tl.
         low_a0, high_a0, low_b0, high_b0 = _wider(low_a0, high_a0, low_b0, high_b0, a0, b0)
         low_a1, high_a1, low_b1, high_b1 = _wider(low_a1, high_a1, low_b1, high_b1, a1, b1)
         if corner == 0:
-            _put(record + _A, a0 + middle * da, there)
-            _put(record + _B, b0 + middle * db, there)
-            _put(record + _DA, da, there)
-            _put(record + _DB, db, there)
-            _put(record + _ALONG, along, there)
-            _put(record + _END, source + along, there)
-    _chord(record + _LOW_A, low_a0 - _MARGIN, low_a1 - _MARGIN, n_m, uniform, -_EVERYWHERE, there)
-    _chord(record + _HIGH_A, high_a0 + _MARGIN, high_a1 + _MARGIN, n_m, uniform, _EVERYWHERE, there)
-    _chord(record + _LOW_B, low_b0 - _MARGIN, low_b1 - _MARGIN, n_m, uniform, -_EVERYWHERE, there)
-    _chord(record + _HIGH_B, high_b0 + _MARGIN, high_b1 + _MARGIN, n_m, uniform, _EVERYWHERE, there)
+            _put_four(record + _A, a0 + middle * da, da, b0 + middle * db, db, there)
+            _put_four(
+                record + _ALONG, along, source + along, tl.load(twelve + 6 + axis), tl.load(twelve + 9 + axis), there
+            )
+    _put_four(
+        record + _ACROSS_A, tl.load(twelve + 6 + ia), tl.load(twelve + 9 + ia),
+        tl.load(twelve + 6 + ib), tl.load(twelve + 9 + ib), there,
+    )  # fmt: skip
+    _put_chords(record + _LOW_A, low_a0, low_a1, high_a0, high_a1, n_m, uniform, there)
+    _put_chords(record + _LOW_B, low_b0, low_b1, high_b0, high_b1, n_m, uniform, there)
     near, far = tl.minimum(source, first_end) - _MARGIN, tl.maximum(source, last_end) + _MARGIN
     whole = (tl.minimum(source, last_end) + _MARGIN < -0.5) & (tl.maximum(source, first_end) - _MARGIN > n_m - 0.5)
     within_a = (tl.minimum(low_a0, low_a1) > 1 + _MARGIN) & (tl.maximum(high_a0, high_a1) < n_a + BORDER - _MARGIN)
     within_b = (tl.minimum(low_b0, low_b1) > 1 + _MARGIN) & (tl.maximum(high_b0, high_b1) < n_b + BORDER - _MARGIN)
-    _put(record + _AXIS, tl.where(uniform, axis, _MIXED), there)
-    _put(record + _NEAR, tl.where(uniform, near, -_EVERYWHERE), there)
-    _put(record + _FAR, tl.where(uniform, far, _EVERYWHERE), there)
-    _put(record + _CAREFUL, tl.where(uniform & whole & within_a & within_b, 0, 1), there)
-    for n in tl.static_range(3):
-        which = ia if n == 0 else (ib if n == 1 else axis)
-        _put(record + _ACROSS + n, tl.load(twelve + 6 + which), there)
-        _put(record + _DOWN + n, tl.load(twelve + 9 + which), there)
+    near, far = tl.where(uniform, near, -_EVERYWHERE), tl.where(uniform, far, _EVERYWHERE)
+    careful = tl.where(uniform & whole & within_a & within_b, 0, 1)
+    _put_four(record + _AXIS, tl.where(uniform, axis, _MIXED), near, far, careful, there)
 
 
 @triton.jit
@@ -95,10 +92,25 @@ def _wider(low_a, high_a, low_b, high_b, a, b):
 
 @triton.jit
 @no_type_check
-def _chord(at, first, last, slices, uniform, otherwise, there):
-    """Place on the first slice, and slope."""
-    _put(at, tl.where(uniform, first, otherwise), there)
-    _put(at + 1, tl.where(uniform, (last - first) / tl.maximum(slices - 1, 1), 0.0), there)
+def _put_chords(at, low0, low1, high0, high1, slices, uniform, there):
+    """Of both planes along one axis the place on the first slice, and the slope."""
+    steps = tl.maximum(slices - 1, 1)
+    low, high = tl.where(uniform, low0 - _MARGIN, -_EVERYWHERE), tl.where(uniform, high0 + _MARGIN, _EVERYWHERE)
+    low_slope, high_slope = (
+        tl.where(uniform, (low1 - low0) / steps, 0.0),
+        tl.where(uniform, (high1 - high0) / steps, 0.0),
+    )
+    _put_four(at, low, low_slope, high, high_slope, there)
+
+
+@triton.jit
+@no_type_check
+def _put_four(at, one, two, three, four, there):
+    """Numbers that follow one another, for many tiles: together, so that they are written together."""
+    odd = tl.join(one.to(tl.float32), three.to(tl.float32))
+    even = tl.join(two.to(tl.float32), four.to(tl.float32))
+    numbers = tl.join(odd, even).reshape([one.shape[0], 4])
+    tl.store(at[:, None] + tl.arange(0, 4)[None, :], numbers, there[:, None])
 
 
 @triton.jit
@@ -305,8 +317,8 @@ def _near_rays(record, source, from_source, row, column):
 
     With d = along + column c_m + row r_m the slope's difference is (column (c_a - da c_m) + row (r_a - da r_m)) / d.
     """
-    c_a, c_b, c_m = tl.load(record + _ACROSS), tl.load(record + _ACROSS + 1), tl.load(record + _ACROSS + 2)
-    r_a, r_b, r_m = tl.load(record + _DOWN), tl.load(record + _DOWN + 1), tl.load(record + _DOWN + 2)
+    c_a, c_b, c_m = tl.load(record + _ACROSS_A), tl.load(record + _ACROSS_B), tl.load(record + _ACROSS_M)
+    r_a, r_b, r_m = tl.load(record + _DOWN_A), tl.load(record + _DOWN_B), tl.load(record + _DOWN_M)
     da, db = tl.load(record + _DA), tl.load(record + _DB)
     ahead = column * c_m + row * r_m
     one_over = 1.0 / (tl.load(record + _ALONG) + ahead)
@@ -343,12 +355,6 @@ def _list_slices(
         count += tl.sum(one, 0)
     tl.debug_barrier()
     return count
-
-
-@triton.jit
-@no_type_check
-def _put(at, value, there):
-    tl.store(at, value.to(tl.float32), there)
 
 
 @triton.jit
