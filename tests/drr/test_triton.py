@@ -266,3 +266,13 @@ def test_a_batch_of_poses_of_all_main_axes():
     together = triton.project(VOLUME.data.to(DEVICE), rays, VOLUME.grid, 7, 13, "joseph")
     for image, ray in zip(together, rays, strict=True):
         assert torch.equal(image, triton.project(VOLUME.data.to(DEVICE), ray[None], VOLUME.grid, 7, 13, "joseph")[0])
+
+
+def test_the_derivative_by_rays_of_several_tiles_and_classes():
+    rays = _rays(_poses("-j")[1:3], Detector(9, 17, 1.3))
+    weights = _weights(2, 2, 9, 17)
+    followed = rays.clone().requires_grad_()
+    images = reference.project(_classes().double(), followed, VOLUME.grid, 9, 17, "joseph")
+    (expected,) = torch.autograd.grad((images * weights).sum(), followed)
+    given = _classes().to(DEVICE), rays.to(DEVICE), VOLUME.grid, weights.to(DEVICE)
+    assert relative(triton.pull_back_rays(*given, "joseph").cpu(), expected) < DERIVATIVE_PARITY

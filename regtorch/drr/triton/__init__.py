@@ -40,6 +40,8 @@ def why_not(data: Tensor, method: str) -> str:
         return f"a volume on {data.device}, expected a CUDA device (or TRITON_INTERPRET=1)"
     if data.shape[-3:].numel() >= 1 << 31:
         return f"a volume of {data.shape[-3:].numel()} voxels, expected fewer than {1 << 31}"
+    if math.prod(n + 2 * BORDER for n in data.shape[-3:]) >= 1 << 32:
+        return f"a volume of {tuple(data.shape[-3:])} voxels, expected fewer than {1 << 32} with air around"
     if max(data.shape[-3:]) > _MOST_SLICES:
         return f"a volume of {max(data.shape[-3:])} slices, expected at most {_MOST_SLICES}"
     if find_spec("triton") is None:

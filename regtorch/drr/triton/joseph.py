@@ -96,10 +96,8 @@ def _put_chords(at, low0, low1, high0, high1, slices, uniform, there):
     """Of both planes along one axis the place on the first slice, and the slope."""
     steps = tl.maximum(slices - 1, 1)
     low, high = tl.where(uniform, low0 - _MARGIN, -_EVERYWHERE), tl.where(uniform, high0 + _MARGIN, _EVERYWHERE)
-    low_slope, high_slope = (
-        tl.where(uniform, (low1 - low0) / steps, 0.0),
-        tl.where(uniform, (high1 - high0) / steps, 0.0),
-    )
+    low_slope = tl.where(uniform, (low1 - low0) / steps, 0.0)
+    high_slope = tl.where(uniform, (high1 - high0) / steps, 0.0)
     _put_four(at, low, low_slope, high, high_slope, there)
 
 
@@ -176,23 +174,14 @@ def _along(
         source = tl.load(twelve + axis)
         if uniform:
             from_source = (middle.to(tl.float64) - source).to(tl.float32)
-            a0, b0, da, db, near, far = _near_rays(
-                record,
-                source.to(tl.float32),
-                from_source,
-                (row - row0).to(tl.float32),
-                (column - column0).to(tl.float32),
-            )
+            down, across = (row - row0).to(tl.float32), (column - column0).to(tl.float32)
+            a0, b0, da, db, near, far = _near_rays(record, source.to(tl.float32), from_source, down, across)
         else:
             middle_a, middle_b, slope_a, slope_b, along, near, far = _rays(
                 twelve, axis, ia, ib, middle, uniform, row.to(tl.float64), column.to(tl.float64), BORDER
             )
-            a0, b0, da, db = (
-                middle_a.to(tl.float32),
-                middle_b.to(tl.float32),
-                slope_a.to(tl.float32),
-                slope_b.to(tl.float32),
-            )
+            a0, b0 = middle_a.to(tl.float32), middle_b.to(tl.float32)
+            da, db = slope_a.to(tl.float32), slope_b.to(tl.float32)
     sharp_a, sharp_b = _number(grid + 3 + ia), _number(grid + 3 + ib)
     if GRADIENT:
         place_a, place_b, move_a, move_b = exact_a, exact_b, step_a, step_b

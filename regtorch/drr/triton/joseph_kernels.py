@@ -53,7 +53,7 @@ def joseph_project(
     tl.store(images + (image * rows + row) * columns + column, value, mask=pixels)
 
 
-@triton.jit(do_not_specialize=_SHAPES)
+@triton.jit(do_not_specialize=_SHAPES, do_not_specialize_on_alignment=["jacobian"])
 @no_type_check
 def joseph_project_with_jacobian(
     slices, tables, numbers, records, rays, ray_jacobian, grid, images, jacobian,
