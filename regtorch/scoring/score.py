@@ -13,6 +13,7 @@ from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector, ray_jacobian
 from regtorch.imaging.volume import Volume
 from regtorch.scoring.cpu import joseph_gram
+from regtorch.scoring.triton import gram as gram_triton
 from regtorch.similarity.gram import (
     FixedGradients,
     NormalEquations,
@@ -20,7 +21,9 @@ from regtorch.similarity.gram import (
     fixed_gradients,
     gradient_gram,
 )
-from regtorch.similarity.triton import gradient_gram as gradient_gram_triton
+
+_POSES_ON_GPU = 1 << 15
+"""Poses that a call on a GPU takes at once; its kernels bound their own memory."""
 
 
 def gradient_correlations(
@@ -87,8 +90,9 @@ def _scored(
     chosen = chosen_backend(volume, parameters, method, backend)
     gradients = _prepared(volume, detector, fixed, weight)
     numbers_each = (1 + len(free)) * detector.rows * detector.columns
+    many = _POSES_ON_GPU if chosen is triton else at_once(numbers_each, volume.data.device.type)
     found = []
-    for some in parameters.detach().reshape(-1, 9).split(at_once(numbers_each, volume.data.device.type)):
+    for some in parameters.detach().reshape(-1, 9).split(many):
         rays = rays_of(volume, some, detector, view)
         by_free = ray_jacobian(some, detector, view, volume.voxel_from_ct)[..., free].to(rays) if free else None
         gram, magnitude = _gram(chosen, method, volume, rays, by_free, gradients)
@@ -106,11 +110,11 @@ def _gram(
 ) -> tuple[Float[Tensor, "b 2 m m+2"], Float[Tensor, " b"]]:
     if chosen is cpu and method == "joseph":
         return joseph_gram(volume.data, rays, by_free, volume.grid, fixed)
+    if chosen is triton:
+        return gram_triton(volume.data, rays, by_free, volume.grid, fixed, method)
     place = volume.grid, *fixed.root.shape, method
     if by_free is None:
         images = chosen.project(volume.data, rays, *place)
-        if chosen is triton:
-            return gradient_gram_triton(images[:, 0], *fixed)
     else:
         both = chosen.project_with_jacobian(volume.data, rays, by_free, *place)
         images = torch.cat([part.flatten(1, -3) for part in both], dim=1)

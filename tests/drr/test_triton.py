@@ -11,6 +11,7 @@ import torch
 from interpreted import DEVICE, needs_triton
 
 from regtorch.drr import reference, triton
+from regtorch.drr.triton.slices import prepared
 from regtorch.geometry import Detector, cone_beam_rays
 
 from .scenes import pose_of, random_volume, relative
@@ -117,7 +118,9 @@ def test_the_jacobian_is_that_of_the_reference(method):
     expected = torch.stack([torch.autograd.functional.jacobian(exact, pose, vectorize=True) for pose in poses])
     given = [t.to(DEVICE) for t in (_classes(), _rays(poses, detector), by_parameters, VOLUME.grid)]
     images, jacobian = triton.project_with_jacobian(*given, 5, 17, method)
-    assert torch.equal(images, triton.project(given[0], given[1], given[3], 5, 17, method))
+    assert relative(images, triton.project(given[0], given[1], given[3], 5, 17, method)) < PARITY
+    both = triton.project_as_one(*given, 5, 17, method)
+    assert torch.equal(both, torch.cat([images[:, :, None], jacobian], dim=2))
     for found, right in zip(jacobian.cpu(), expected.movedim(-1, 2), strict=True):
         for parameter in range(9):
             assert relative(found[:, parameter], right[:, parameter]) < DERIVATIVE_PARITY
@@ -212,3 +215,64 @@ def test_every_kernel_compiles_for_a_gpu(tmp_path):
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     program = Path(__file__).parent.parent / "compiled.py"
     subprocess.run([sys.executable, program], check=True, env=environment | {"TRITON_CACHE_DIR": str(tmp_path)})
+
+
+OCCUPIED = {
+    "none": (11, ()),
+    "one": (11, (5,)),
+    "four": (11, (0, 3, 4, 9)),
+    "all": (11, range(11)),
+    "beyond those looked at together": (140, (0, 127, 128, 139)),
+}
+
+
+@pytest.mark.parametrize("occupied", OCCUPIED)
+@pytest.mark.parametrize("degrees", [(0, 0, 0), (12, -17, 25)], ids=["within", "out sideways"])
+def test_slices_that_are_empty_are_skipped_and_no_others(occupied, degrees):
+    slices, filled = OCCUPIED[occupied]
+    volume = random_volume(14, slices, 16, spacing=(1.5, 0.3, 1.5))
+    data = torch.zeros_like(volume.data)
+    data[:, list(filled)] = volume.data[:, list(filled)] + 0.01
+    poses = pose_of((3, -2, 900), (1, 1, 300), degrees)[None]
+    detector = Detector(9, 10, 1.1)
+    rays = cone_beam_rays(poses, detector, "PA", volume.voxel_from_ct)
+    by_parameters = torch.randn(1, 12, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    place = volume.grid, 9, 10, "joseph"
+    expected = reference.project_with_jacobian(data.double(), rays, by_parameters, *place)
+    found = triton.project_with_jacobian(data.to(DEVICE), rays.to(DEVICE), by_parameters.to(DEVICE), *place)
+    assert relative(triton.project(data.to(DEVICE), rays.to(DEVICE), *place).cpu(), expected[0]) < PARITY
+    assert relative(found[0].cpu(), expected[0]) < PARITY
+    assert relative(found[1].cpu(), expected[1]) < DERIVATIVE_PARITY
+    assert bool(found[0].any()) == bool(filled)
+
+
+def test_what_is_kept_of_a_volume_goes_when_it_changes():
+    data = VOLUME.data.clone().to(DEVICE)
+    rays = _rays(_poses("-j")[1:2]).to(DEVICE)
+    place = VOLUME.grid, 3, 4, "joseph"
+    before = triton.project(data, rays, *place)
+    assert prepared(data)[0] is prepared(data)[0]
+    data *= 2
+    assert relative(triton.project(data, rays, *place), 2 * before) < PARITY
+    with torch.inference_mode():
+        free = VOLUME.data.clone().to(DEVICE)
+        free *= 2
+        assert torch.equal(triton.project(free, rays, *place), triton.project(data, rays, *place))
+
+
+def test_a_batch_of_poses_of_all_main_axes():
+    poses = torch.cat([_poses(turn)[1:3] for turn in TURNS])
+    rays = _rays(poses).to(DEVICE)
+    together = triton.project(VOLUME.data.to(DEVICE), rays, VOLUME.grid, 7, 13, "joseph")
+    for image, ray in zip(together, rays, strict=True):
+        assert torch.equal(image, triton.project(VOLUME.data.to(DEVICE), ray[None], VOLUME.grid, 7, 13, "joseph")[0])
+
+
+def test_the_derivative_by_rays_of_several_tiles_and_classes():
+    rays = _rays(_poses("-j")[1:3], Detector(9, 17, 1.3))
+    weights = _weights(2, 2, 9, 17)
+    followed = rays.clone().requires_grad_()
+    images = reference.project(_classes().double(), followed, VOLUME.grid, 9, 17, "joseph")
+    (expected,) = torch.autograd.grad((images * weights).sum(), followed)
+    given = _classes().to(DEVICE), rays.to(DEVICE), VOLUME.grid, weights.to(DEVICE)
+    assert relative(triton.pull_back_rays(*given, "joseph").cpu(), expected) < DERIVATIVE_PARITY

@@ -52,3 +52,22 @@ def test_what_can_be_summed(monkeypatch):
     assert not triton.can_sum(images.clone().requires_grad_())
     monkeypatch.delenv("TRITON_INTERPRET", raising=False)
     assert not triton.can_sum(images.cpu())
+
+
+@pytest.mark.parametrize("m", [1, 2, 10, 15])
+@pytest.mark.parametrize("shape", [(40, 71), (3, 3), (1, 7), (7, 1), (1, 1)], ids=str)
+def test_products_are_those_of_plain_torch(shape, m):
+    given = _images(2, m, *shape), _images(2, *shape, seed=1) - 0.5, _images(*shape, seed=2)
+    expected = gradient_gram(given[0], FixedGradients(*given[1:]))
+    found = [result.cpu() for result in triton.gradient_grams(*(t.to(DEVICE) for t in given))]
+    again = [result.cpu() for result in triton.gradient_grams(*(t.to(DEVICE) for t in given))]
+    for one, other, right in zip(found, again, expected, strict=True):
+        assert one.dtype == torch.float64
+        assert torch.equal(one, other)
+        torch.testing.assert_close(one, right, rtol=1e-5, atol=1e-5)
+
+
+def test_no_groups_give_no_products():
+    sums, magnitude = triton.gradient_grams(torch.zeros(0, 3, 4, 5), torch.zeros(2, 4, 5), torch.zeros(4, 5))
+    assert sums.shape == (0, 2, 3, 5)
+    assert magnitude.shape == (0,)

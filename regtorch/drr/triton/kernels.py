@@ -1,4 +1,4 @@
-"""Triton kernels. A program is a tile of pixels of one pose, with every channel.
+"""The kernels of rays that are followed by themselves: a program is a tile of pixels of one pose, with every channel.
 
 Tiles are numbered along one axis of the grid, pose after pose. All setup is in float64, all sums are in float32.
 """
@@ -8,12 +8,12 @@ from typing import no_type_check
 import triton
 import triton.language as tl
 
-from regtorch.drr.triton.joseph import joseph
+from regtorch.drr.triton.joseph_adjoint import joseph_adjoint
 from regtorch.drr.triton.siddon import siddon
 from regtorch.drr.triton.trilinear import trilinear
 
 # Compiled once for all shapes: a 1 taken for a constant would have no type.
-_SHAPES = ["w", "h", "d", "rows", "columns", "steps", "parameters"]
+_SHAPES = ["w", "h", "d", "rows", "columns", "steps", "parameters", "per_image", "per_jacobian"]
 
 
 @triton.jit(do_not_specialize=_SHAPES)
@@ -36,11 +36,15 @@ def project(
 @triton.jit(do_not_specialize=_SHAPES)
 @no_type_check
 def project_with_jacobian(
-    data, rays, ray_jacobian, grid, images, jacobian, w, h, d, rows, columns, steps, parameters,
+    data, rays, ray_jacobian, grid, images, jacobian, w, h, d, rows, columns, steps,
+    parameters, per_image, per_jacobian,
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
-    """Line integrals to ``images`` and their derivatives by each parameter to ``jacobian``."""
+    """Line integrals to ``images`` and their derivatives by each parameter to ``jacobian``.
+
+    ``per_image`` and ``per_jacobian`` tell how many images lie between those of one pose, or class, and the next.
+    """
     pose, _, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     nothing = tl.zeros([PADDED, TILE_ROWS * TILE_COLUMNS], tl.float32)
     value, s_i, s_j, s_k, p_i, p_j, p_k = _line(
@@ -48,13 +52,13 @@ def project_with_jacobian(
     )
     mask = channels & pixels[None, :]
     image = pose * CHANNELS + channel
-    tl.store(images + (image * rows + row[None, :]) * columns + column[None, :], value, mask=mask)
+    tl.store(images + (image * per_image * rows + row[None, :]) * columns + column[None, :], value, mask=mask)
     for parameter in range(parameters):
         twelve = ray_jacobian + pose * 12 * parameters + parameter
         i, j, k = _motion(twelve, row, column, parameters)
         change = s_i * _number(twelve) + s_j * _number(twelve + parameters) + s_k * _number(twelve + 2 * parameters)
         change += p_i * i + p_j * j + p_k * k
-        at = ((image * parameters + parameter) * rows + row[None, :]) * columns + column[None, :]
+        at = ((image * per_jacobian + parameter) * rows + row[None, :]) * columns + column[None, :]
         tl.store(jacobian + at, change, mask=mask)
 
 
@@ -90,7 +94,7 @@ def pull_back_data(
     METHOD: tl.constexpr, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr,
     TILE_COLUMNS: tl.constexpr,
 ):  # fmt: skip
-    """Add ``image_gradients`` to the whole numbers ``total`` where ``project`` reads the volume."""
+    """``image_gradients`` added to the whole numbers ``total`` where ``project`` reads the volume."""
     pose, _, row, column, pixels, channel, channels = _tile(rows, columns, CHANNELS, PADDED, TILE_ROWS, TILE_COLUMNS)
     at = ((pose * CHANNELS + channel) * rows + row[None, :]) * columns + column[None, :]
     upstream = tl.load(image_gradients + at, mask=channels & pixels[None, :], other=0.0)
@@ -102,7 +106,7 @@ def pull_back_data(
 def _tile(
     rows, columns, CHANNELS: tl.constexpr, PADDED: tl.constexpr, TILE_ROWS: tl.constexpr, TILE_COLUMNS: tl.constexpr
 ):
-    """This program's pose, number, rows and columns of pixels, channels, and masks of both."""
+    """Of this program: its pose, its own number, its pixels' rows and columns, the channels, and which there are."""
     tile = tl.program_id(0)
     across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
     tiles = across * ((rows + TILE_ROWS - 1) // TILE_ROWS)
@@ -131,9 +135,9 @@ def _line(
     volume = data + channel * (w.to(tl.int64) * h * d)
     if METHOD == "joseph":
         sharp_i, sharp_j, sharp_k = _number(grid + 3), _number(grid + 4), _number(grid + 5)
-        return joseph(
+        joseph_adjoint(
             volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, mm_i, mm_j, mm_k, sharp_i, sharp_j, sharp_k,
-            w, h, d, MODE,
+            w, h, d,
         )  # fmt: skip
     elif METHOD == "siddon":
         return siddon(volume, channels, pixels, upstream, si, sj, sk, pi, pj, pk, mm_i, mm_j, mm_k, w, h, d, MODE)
@@ -146,7 +150,7 @@ def _line(
 @triton.jit
 @no_type_check
 def _motion(twelve, row, column, parameters):
-    """Motion of the pixels with one parameter; ``twelve`` points to its column in the ray Jacobian."""
+    """How the pixels move with one parameter, of which ``twelve`` is the first of the column of the ray Jacobian."""
     i = _number(twelve + 3 * parameters) + column * _number(twelve + 6 * parameters)
     j = _number(twelve + 4 * parameters) + column * _number(twelve + 7 * parameters)
     k = _number(twelve + 5 * parameters) + column * _number(twelve + 8 * parameters)
@@ -165,5 +169,5 @@ def _number(at):
 @triton.jit
 @no_type_check
 def _sum(values, factor):
-    """Sum over channels and pixels, in float64 and always in the same order."""
+    """Over channels and pixels, in float64 and always in the same order."""
     return tl.sum(tl.sum(values.to(tl.float64) * factor.to(tl.float64)[None, :], 1), 0)
