@@ -9,7 +9,7 @@ from pathlib import Path
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[1]
-OUTSIDE = ("ARCHITECTURE.md", "results/**/*.md", "results/**/*.png")
+OUTSIDE = ("ARCHITECTURE.md", "results/**/*.md", "results/**/*.png", "results/**/*.csv")
 
 _LINK = re.compile(r"(\]\()((?:\.\./)*)([^)\s#]+)")
 
