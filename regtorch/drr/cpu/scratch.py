@@ -25,7 +25,7 @@ Y, X = ROW.astype(np.float32), COLUMN.astype(np.float32)
 @njit(nogil=True)
 @no_type_check
 def scratch(channels):
-    """Floats [(10 + c) N], offsets [N], groups of four voxels [N], the same as floats, boxes in slices [5 SLICES]."""
+    """Floats [(9 + c) N], offsets [N], groups of four voxels [N], the same as floats, boxes in slices [5 SLICES]."""
     groups, boxes = np.empty(N, np.complex128), np.empty(5 * SLICES, np.int32)
     return np.empty(TOTAL + channels * N, np.float32), np.empty(N, np.uint32), groups, groups.view(np.float32), boxes
 
