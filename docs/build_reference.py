@@ -1,4 +1,4 @@
-"""Makes the reference pages that repeat the code: the command line and the settings of the search.
+"""Makes the reference pages that repeat the code: the command line, the settings of the search, tables of files.
 
 python docs/build_reference.py
 """
@@ -13,6 +13,25 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "reference"
 REGTORCH = ("", "demo", "simulate", "register", "evaluate")
+
+
+SCHEMAS = FOLDER / "schemas"
+TABLES = {
+    "result.json": ("result", None),
+    "parameters": ("result", "parameters"),
+    "detector": ("result", "detector"),
+    "reasons": ("result", "reason"),
+    "evidence": ("result", "evidence"),
+    "trace": ("result", "step"),
+    "truth.json": ("truth", None),
+    "The JSON of evaluate": ("evaluation", None),
+    "targets": ("evaluation", "target"),
+    "The header of a PNG or TIFF": ("radiograph", None),
+    "Points of 3D Slicer": ("points", None),
+    "markups": ("points", "markup"),
+    "controlPoints": ("points", "point"),
+}
+"""Headings of the page of files, each with its schema, and the definition there; None is the schema itself."""
 
 
 def studies() -> list[str]:
@@ -93,9 +112,48 @@ def _value(value: object) -> str:
     return {True: "on", False: "off"}[value] if isinstance(value, bool) else f"{value}"
 
 
+def files() -> str:
+    """The page of files, with each table made anew of its schema."""
+    text = (FOLDER / "files.md").read_text(encoding="utf-8")
+    for heading, (name, part) in TABLES.items():
+        table = rf"(^##+ {re.escape(heading)}\n(?:(?![|#]).*\n)*)(?:\|.*\n)+"
+        text, count = re.subn(table, lambda found: found[1] + _table(name, part), text, flags=re.MULTILINE)  # noqa: B023
+        if count != 1:
+            raise RuntimeError(f"docs/reference/files.md: {count} tables under {heading!r}, expected one")
+    return text
+
+
+def schema(name: str) -> dict:
+    return json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+
+
+def _table(name: str, part: str | None) -> str:
+    whole = schema(name)
+    told = whole["$defs"][part] if part else whole
+    lines = ["| key | type | content |", "|---|---|---|"]
+    for key, entry in told["properties"].items():
+        absent = "" if key in told["required"] else " or absent"
+        lines.append(f"| `{key}` | {_kind(whole, entry)}{absent} | {entry['description']} |")
+    return "\n".join(lines) + "\n"
+
+
+def _kind(whole: dict, entry: dict) -> str:
+    """The type of a value in words: a matrix by its size, a list by what it holds."""
+    if "$ref" in entry:
+        return _kind(whole, whole["$defs"][entry["$ref"].rpartition("/")[2]])
+    if "type" not in entry:  # one of several values, which are strings
+        return "string"
+    if entry["type"] != "array":
+        return " or ".join(entry["type"]) if isinstance(entry["type"], list) else entry["type"]
+    items = entry["items"]
+    if items.get("type") == "array":
+        return f"{entry['minItems']} x {items['minItems']}"
+    return f"list of {_kind(whole, items)}s"
+
+
 def main() -> None:
     FOLDER.mkdir(exist_ok=True)
-    for name, text in (("command_line.md", command_line()), ("settings.md", settings())):
+    for name, text in (("command_line.md", command_line()), ("settings.md", settings()), ("files.md", files())):
         (FOLDER / name).write_text(text, encoding="utf-8")
         print(f"wrote docs/reference/{name}")
 
