@@ -82,7 +82,7 @@ def test_a_result_without_covariance_holds_to_its_schema(inputs, tmp_path, metho
     result = json.loads((tmp_path / "new" / "deep" / "result.json").read_text())
     validator("result").validate(result)
     assert result["similarity"] is None
-    assert [reason["status"] for reason in result["reasons"]][0] == "failed"
+    assert result["reasons"][0]["status"] == "failed"
     assert set(validator("result").schema["properties"]) - set(result) == {
         "standard_deviations",
         "expected_pde_mm",
