@@ -255,6 +255,15 @@ def test_convincing_takes_the_limits_own_values(pair):
     clear[2] += 2 * CLOSE
     assert not convincing(pair.problem(ALL), starts, clear)
     assert not convincing(pair.problem(ALL), starts, clear - CLOSE, replace(LIMITS, least_agreeing=3))
+    exact = torch.tensor([0.75, 0.75, 0.5], dtype=torch.float64)
+    assert convincing(pair.problem(ALL), starts, exact, replace(LIMITS, least_gap=0.25))
+
+
+def test_the_spread_of_the_sdd_is_told_where_it_and_the_patients_distance_are_free(pair):
+    spread = torch.diag(torch.tensor([0, 0, 16.0, 0, 0, 1, 0, 0, 0], dtype=torch.float64))
+    for free, told in (([2, 5], True), (ALL, True), ([2, 3], False), ([3, 5], False)):
+        deviation = _found(pair, free, [0, 0], [0.5, 0.5], covariance=spread).sdd_deviation
+        assert deviation == (pytest.approx(4 / float(pair.initial[2])) if told else None)
 
 
 def test_a_vertebras_shift_warns_between_its_limits_and_an_sdd_beyond_its_own():
