@@ -7,7 +7,10 @@ import pytest
 import torch
 
 from regtorch.errors import RegtorchError
-from regtorch.optimization import cma_es
+from regtorch.optimization import cma_es, evolution_strategy
+from regtorch.optimization.evolution_strategy import _generation
+from regtorch.optimization.rows import first_rows
+from regtorch.optimization.start import prepare
 from regtorch.optimization.strategy import Strategy, default_strategy
 
 from .problems import HitTime, ellipsoid, random_rotation, rosenbrock, sphere
@@ -238,3 +241,40 @@ def test_generations_are_those_of_the_tutorials_equations(generations, far):
     assert min(held) == (0 if far > 1 and generations > 2 else min(held))
     np.testing.assert_allclose(found.mean[0].numpy(), state["m"], rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(found.covariance[0].numpy(), state["sigma"] ** 2 * state["C"], rtol=1e-6, atol=1e-9)
+
+
+def test_histories_hold_the_best_and_the_median_cost_of_each_generation():
+    begin = prepare(torch.zeros(2, 3), torch.ones(3), None, None, None)
+    rows, strategy, seen = first_rows(begin), default_strategy(3, 9), []
+
+    def objective(x):
+        seen.append(sphere(x).view(2, 9))
+        return seen[-1].flatten()
+
+    for g in (1, 2):
+        z = torch.randn(2, 9, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(g))
+        _generation(objective, begin, strategy, rows, z, g)
+        assert torch.equal(rows.best[:, g - 1], seen[-1].amin(1))
+        assert torch.equal(rows.median[:, g - 1], seen[-1].median(1).values)
+    assert torch.equal(rows.best_cost, torch.stack(seen).amin((0, 2)))
+
+
+def test_no_generation_repeats_the_random_numbers_of_another(monkeypatch):
+    """Also beyond the block that a start draws at once."""
+    drawn = []
+
+    def watched(objective, begin, strategy, rows, z, g):
+        drawn.append(z.clone())
+        return _generation(objective, begin, strategy, rows, z, g)
+
+    monkeypatch.setattr(evolution_strategy, "_generation", watched)
+    cma_es(rosenbrock, torch.full((2, 3), 4.0), torch.ones(3), max_generations=2 * evolution_strategy.BLOCK + 5)
+    numbers = torch.stack(drawn).flatten()
+    assert len(drawn) == 2 * evolution_strategy.BLOCK + 5
+    assert len(numbers.unique()) == len(numbers)
+
+
+def test_a_budget_of_evaluations_is_never_exceeded():
+    optimum = cma_es(sphere, torch.ones(2, 3), torch.ones(3), population=7, max_evaluations=27)
+    assert optimum.evaluations.tolist() == [21, 21]
+    assert optimum.reason == ("MaxEvaluations",) * 2

@@ -76,13 +76,13 @@ WINDOW = 10 + 30 * 2 // 6
 
 
 def _state(n: int = 2, **changes: list[float]) -> Rows:
-    """One row of two parameters, C = 1, sigma = 1, at the origin."""
+    """One row of n parameters, C = 1, sigma = 1, at the origin."""
     rows = first_rows(prepare(torch.zeros(1, n), torch.ones(n), None, None, None))
     return replace(rows, **{name: torch.tensor([value], dtype=torch.float64) for name, value in changes.items()})
 
 
-def _degenerate(name: str, g: int = 1, **changes: list[float]) -> bool:
-    return bool(degenerate(g, _state(**changes), TIGHT)[name])
+def _degenerate(name: str, g: int = 1, n: int = 2, **changes: list[float]) -> bool:
+    return bool(degenerate(g, _state(n, **changes), TIGHT)[name])
 
 
 def test_deviations_and_the_path_must_both_be_short_for_tol_x():
@@ -104,6 +104,7 @@ def test_a_longest_axis_ten_thousand_times_the_first_is_too_long():
 def test_a_condition_beyond_1e14_is_too_large():
     assert not _degenerate("ConditionCov", D=[1.0, 0.999e7])
     assert _degenerate("ConditionCov", D=[1.0, 1.001e7])
+    assert _degenerate("ConditionCov", n=3, D=[1.0, 1.0, 1.001e7])
 
 
 def test_a_fifth_of_a_deviation_must_change_a_coordinate():

@@ -3,6 +3,7 @@
 import csv
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -284,4 +285,13 @@ def test_limits_are_those_of_the_committed_calibration():
 
 def test_limits_are_sane():
     assert LIMITS.least_gain < LIMITS.unsure_gain
-    assert LIMITS.least_similarity < LIMITS.strong_similarity
+    assert 0 < LIMITS.least_similarity < LIMITS.strong_similarity < LIMITS.clear_similarity < 1
+
+
+def test_a_shift_of_one_vertebra_is_one_of_the_phantoms_smallest_to_its_largest(pair):
+    """In the detector plane: from the smallest as it is to the largest magnified. Half and twice are no vertebra."""
+    _, targets = make_phantom(6.0)
+    spacings = [math.dist(one, other) for one, other in pairwise(targets.values())]
+    magnification = float(pair.initial[2] / (pair.initial[2] - pair.initial[5]))
+    assert min(spacings) / 2 < LIMITS.vertebra_mm[0] < min(spacings)
+    assert max(spacings) * magnification < LIMITS.vertebra_mm[1] < 2 * max(spacings) * magnification
