@@ -2,11 +2,16 @@
 
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 
 from regtorch.errors import RegtorchError
-from regtorch.optimization import cma_es
+from regtorch.optimization import cma_es, evolution_strategy
+from regtorch.optimization.evolution_strategy import _generation
+from regtorch.optimization.rows import first_rows
+from regtorch.optimization.start import prepare
+from regtorch.optimization.strategy import Strategy, default_strategy
 
 from .problems import HitTime, ellipsoid, random_rotation, rosenbrock, sphere
 
@@ -189,3 +194,87 @@ def test_bad_arguments_are_named(change, message):
     arguments = {"objective": sphere, "start": torch.ones(1, 2), "sigma": torch.ones(2), **change}
     with pytest.raises(RegtorchError, match=message):
         cma_es(**arguments)
+
+
+def _tutorial(points: np.ndarray, cost: np.ndarray, s: Strategy, g: int, state: dict[str, np.ndarray]) -> None:
+    """One generation of the tutorial's figure 6 for one start, in plain numpy: eqs. 41-47."""
+    m, C, n = state["m"], state["C"], s.n
+    y = ((points - m) / state["sigma"])[np.argsort(cost)]
+    w, mu = s.w.numpy(), s.lam // 2
+    y_w = w[:mu] @ y[:mu]
+    values, axes = np.linalg.eigh(C)
+    whitening = axes @ np.diag(values**-0.5) @ axes.T
+    state["m"] = m + state["sigma"] * y_w
+    p_sigma = (1 - s.c_sigma) * state["p_sigma"]
+    p_sigma = p_sigma + np.sqrt(s.c_sigma * (2 - s.c_sigma) * s.mu_eff) * whitening @ y_w
+    length = np.linalg.norm(p_sigma)
+    h = float(length / np.sqrt(1 - (1 - s.c_sigma) ** (2 * g)) < (1.4 + 2 / (n + 1)) * s.chi_n)
+    p_c = (1 - s.c_c) * state["p_c"] + h * np.sqrt(s.c_c * (2 - s.c_c) * s.mu_eff) * y_w
+    white = np.linalg.norm(y @ whitening, axis=1)
+    weights = np.where(w >= 0, w, w * n / white**2)
+    rank_mu = sum(weight * np.outer(each, each) for weight, each in zip(weights, y, strict=True))
+    keep = 1 + s.c_1 * (1 - h) * s.c_c * (2 - s.c_c) - s.c_1 - s.c_mu * w.sum()
+    state["C"] = keep * C + s.c_1 * np.outer(p_c, p_c) + s.c_mu * rank_mu
+    state["sigma"] = state["sigma"] * np.exp(s.c_sigma / s.d_sigma * (length / s.chi_n - 1))
+    state["p_sigma"], state["p_c"], state["h"] = p_sigma, p_c, h
+
+
+@pytest.mark.parametrize("generations", [1, 2, 30])
+@pytest.mark.parametrize("far", [1.0, 50.0], ids=["near", "far: h_sigma is 0 at times"])
+def test_generations_are_those_of_the_tutorials_equations(generations, far):
+    """From the points that were sampled alone: mean, step size and covariance."""
+    n, seen = 4, []
+
+    def objective(x):
+        seen.append(x.clone())
+        return rosenbrock(x)
+
+    start = far * _starts(1, n, seed=2)
+    found = cma_es(objective, start, torch.ones(n), max_generations=generations)
+    s, zero = default_strategy(n, None), np.zeros(n)
+    assert s.lazy_gap == 1
+    state = {"m": start[0].numpy(), "sigma": 1.0, "C": np.eye(n), "p_sigma": zero, "p_c": zero}
+    held = []
+    for g, points in enumerate(seen, start=1):
+        _tutorial(points.numpy(), rosenbrock(points).numpy(), s, g, state)
+        held.append(state["h"])
+    assert min(held) == (0 if far > 1 and generations > 2 else min(held))
+    np.testing.assert_allclose(found.mean[0].numpy(), state["m"], rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(found.covariance[0].numpy(), state["sigma"] ** 2 * state["C"], rtol=1e-6, atol=1e-9)
+
+
+def test_histories_hold_the_best_and_the_median_cost_of_each_generation():
+    begin = prepare(torch.zeros(2, 3), torch.ones(3), None, None, None)
+    rows, strategy, seen = first_rows(begin), default_strategy(3, 9), []
+
+    def objective(x):
+        seen.append(sphere(x).view(2, 9))
+        return seen[-1].flatten()
+
+    for g in (1, 2):
+        z = torch.randn(2, 9, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(g))
+        _generation(objective, begin, strategy, rows, z, g)
+        assert torch.equal(rows.best[:, g - 1], seen[-1].amin(1))
+        assert torch.equal(rows.median[:, g - 1], seen[-1].median(1).values)
+    assert torch.equal(rows.best_cost, torch.stack(seen).amin((0, 2)))
+
+
+def test_no_generation_repeats_the_random_numbers_of_another(monkeypatch):
+    """Also beyond the block that a start draws at once."""
+    drawn = []
+
+    def watched(objective, begin, strategy, rows, z, g):
+        drawn.append(z.clone())
+        return _generation(objective, begin, strategy, rows, z, g)
+
+    monkeypatch.setattr(evolution_strategy, "_generation", watched)
+    cma_es(rosenbrock, torch.full((2, 3), 4.0), torch.ones(3), max_generations=2 * evolution_strategy.BLOCK + 5)
+    numbers = torch.stack(drawn).flatten()
+    assert len(drawn) == 2 * evolution_strategy.BLOCK + 5
+    assert len(numbers.unique()) == len(numbers)
+
+
+def test_a_budget_of_evaluations_is_never_exceeded():
+    optimum = cma_es(sphere, torch.ones(2, 3), torch.ones(3), population=7, max_evaluations=27)
+    assert optimum.evaluations.tolist() == [21, 21]
+    assert optimum.reason == ("MaxEvaluations",) * 2

@@ -65,8 +65,8 @@ def test_starts_are_the_centres_and_sigma_a_fraction_of_the_cells():
         seen.update(start=start, sigma=sigma, lower=lower, upper=upper)
         return cma_es(_rastrigin, start, sigma, lower=lower, upper=upper, max_generations=1)
 
-    lower, upper = torch.zeros(1), torch.full((1,), 4.0)
+    lower, upper = torch.zeros(1), torch.full((1,), 8.0)
     multi_start(search, lower, upper, starts=4, scale=torch.ones(1), sigma_fraction=0.25)
-    assert seen["start"][:, 0].tolist() == [0.5, 1.5, 2.5, 3.5]
-    assert seen["sigma"][:, 0].tolist() == [0.25] * 4
-    assert (float(seen["lower"]), float(seen["upper"])) == (0, 4)
+    assert seen["start"][:, 0].tolist() == [1, 3, 5, 7]
+    assert seen["sigma"][:, 0].tolist() == [0.5] * 4
+    assert (float(seen["lower"]), float(seen["upper"])) == (0, 8)

@@ -1,11 +1,16 @@
 """Evidence is measured from starts; the rules judge it and report every broken rule."""
 
+import csv
 import math
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import pytest
 import torch
 
+from regtorch.geometry import world_from_ct
+from regtorch.phantom import make_phantom
 from regtorch.registration.trust import LIMITS, RULES, Evidence, judge
 from regtorch.registration.trust.evidence import convincing, measure
 from regtorch.registration.trust.rules import WARNINGS, warnings
@@ -17,29 +22,46 @@ GOOD = Evidence(
     mirrored=0.2, gain=1.5, expected_mm=0.3, released_mm=None, sdd_deviation=0.001, frozen=(), at_limit=(), looks=1,
 )  # fmt: skip
 
+CLOSE = 1e-6
+"""So near to a limit, on either side."""
+
 BROKEN = {
-    "no_match": {"best_start": 0.049, "mirrored": -0.1},
+    "no_match": {"best_start": LIMITS.least_similarity - CLOSE, "mirrored": -0.1},
     "other_similarity": {"comparable": False},
-    "mirrored_better": {"mirrored": 0.51},
+    "mirrored_better": {"mirrored": GOOD.best_start + CLOSE},
     "at_limit": {"at_limit": ("z_s", "theta")},
-    "mirrored_close": {"best_start": 0.39, "mirrored": 0.35},
-    "found_once": {"agreeing": 1},
-    "rivalled": {"gap": 0.049},
-    "frozen_wrong": {"expected_mm": 3.1, "released_mm": 3.0, "frozen": ("x_s", "y_s")},
-    "uncertain": {"expected_mm": 3.1},
-    "unexplained": {"gain": 1.19},
+    "mirrored_close": {
+        "best_start": LIMITS.strong_similarity - CLOSE,
+        "mirrored": LIMITS.strong_similarity - LIMITS.least_over_mirrored,
+    },
+    "found_once": {"agreeing": LIMITS.least_agreeing - 1},
+    "rivalled": {"gap": LIMITS.least_gap - CLOSE},
+    "frozen_wrong": {
+        "expected_mm": LIMITS.most_expected_mm + CLOSE,
+        "released_mm": (LIMITS.most_expected_mm + 2 * CLOSE) / 2**0.5,
+        "frozen": ("x_s", "y_s"),
+    },
+    "uncertain": {
+        "expected_mm": LIMITS.most_expected_mm + CLOSE,
+        "released_mm": LIMITS.most_expected_mm / 2**0.5,
+    },
+    "unexplained": {"gain": LIMITS.least_gain - CLOSE},
 }
 """The least that breaks each rule."""
 
 HELD = {
-    "no_match": {"best_start": 0.05, "mirrored": -0.1},
-    "mirrored_better": {"mirrored": 0.5},
-    "mirrored_close": {"best_start": 0.4, "mirrored": 0.39},
-    "found_once": {"agreeing": 2},
-    "rivalled": {"gap": 0.05},
-    "frozen_wrong": {"expected_mm": 3.0, "released_mm": 3.0},
-    "uncertain": {"expected_mm": 3.0},
-    "unexplained": {"gain": 1.2},
+    "no_match": {"best_start": LIMITS.least_similarity, "mirrored": -0.1},
+    "mirrored_better": {"mirrored": GOOD.best_start},
+    "strong": {"best_start": LIMITS.strong_similarity, "mirrored": LIMITS.strong_similarity - CLOSE},
+    "mirrored_close": {
+        "best_start": LIMITS.strong_similarity - CLOSE,
+        "mirrored": LIMITS.strong_similarity - LIMITS.least_over_mirrored - 2 * CLOSE,
+    },
+    "found_once": {"agreeing": LIMITS.least_agreeing},
+    "rivalled": {"gap": LIMITS.least_gap},
+    "frozen_wrong": {"expected_mm": LIMITS.most_expected_mm, "released_mm": LIMITS.most_expected_mm},
+    "uncertain": {"expected_mm": LIMITS.most_expected_mm},
+    "unexplained": {"gain": LIMITS.least_gain},
 }
 """The most that each rule lets pass."""
 
@@ -103,9 +125,8 @@ def test_an_error_that_is_no_number_is_uncertain(expected_mm):
 
 
 def test_what_is_frozen_is_blamed_where_its_release_moves_most():
-    message = judge(replace(GOOD, **BROKEN["frozen_wrong"]))[1]
-    assert message.startswith("x_s, y_s may be wrong: by how the others move once these are free, an error of 3.1 mm")
-    assert _codes(replace(GOOD, expected_mm=3.1, released_mm=2.0)) == ["uncertain"]
+    message = judge(replace(GOOD, **BROKEN["frozen_wrong"] | {"expected_mm": 987.6, "released_mm": 987.0}))[1]
+    assert message.startswith("x_s, y_s may be wrong: by how the others move once these are free, an error of 987.6 mm")
 
 
 def test_ok_says_how_many_agree_and_by_how_much():
@@ -198,6 +219,79 @@ def test_starts_that_agree_on_a_limit_of_the_range_do_not_convince(pair):
     assert not convincing(problem, starts, similarity)
 
 
+def _at(pair, share: float, limits=LIMITS):
+    """Evidence of two starts, one of them ``share`` of the limit away. Shifts along x_obj move the image in proportion.
+
+    The shift in the image is worked out from the heights of the points: z_s / (z_s - z).
+    """
+    problem = pair.problem(ALL)
+    world = world_from_ct(pair.initial, "PA")
+    height = ((problem.points - pair.ct.origin_patient_mm) @ world[:3, :3].mT + world[:3, 3])[:, 2]
+    magnification = float((pair.initial[2] / (pair.initial[2] - height)).mean())
+    return _found(pair, ALL, [0, share * limits.agree_mm / magnification], [0.5, 0.4], limits=limits)
+
+
+@pytest.mark.parametrize("limits", [LIMITS, replace(LIMITS, agree_mm=5.0)], ids=["as set", "5 mm"])
+def test_starts_agree_up_to_the_limit_in_the_detector_plane(pair, limits):
+    assert _at(pair, 0.999, limits).agreeing == 2
+    assert _at(pair, 1.001, limits).agreeing == 1
+
+
+def test_a_thoracic_vertebra_away_is_another_place(pair):
+    """Starts that far apart name other vertebrae, so they must not confirm each other; wrong by 5 mm they still do."""
+    _, targets = make_phantom(6.0)
+    vertebra_mm = math.dist(targets["T1"], targets["T12"]) / 11
+    problem = pair.problem(ALL)
+    one_up, near = pair.initial.clone(), pair.initial.clone()
+    one_up[4] += vertebra_mm
+    near[4] += 5
+    assert float(problem.shift_mm(pair.initial, one_up)) > LIMITS.agree_mm > float(problem.shift_mm(pair.initial, near))
+
+
+def test_convincing_takes_the_limits_own_values(pair):
+    starts = pair.initial.repeat(3, 1)
+    starts[2, 3] += 200
+    clear = torch.tensor([0.6, 0.6, 0.6 - LIMITS.least_gap - CLOSE], dtype=torch.float64)
+    assert convincing(pair.problem(ALL), starts, clear)
+    clear[2] += 2 * CLOSE
+    assert not convincing(pair.problem(ALL), starts, clear)
+    assert not convincing(pair.problem(ALL), starts, clear - CLOSE, replace(LIMITS, least_agreeing=3))
+    exact = torch.tensor([0.75, 0.75, 0.5], dtype=torch.float64)
+    assert convincing(pair.problem(ALL), starts, exact, replace(LIMITS, least_gap=0.25))
+
+
+def test_the_spread_of_the_sdd_is_told_where_it_and_the_patients_distance_are_free(pair):
+    spread = torch.diag(torch.tensor([0, 0, 16.0, 0, 0, 1, 0, 0, 0], dtype=torch.float64))
+    for free, told in (([2, 5], True), (ALL, True), ([2, 3], False), ([3, 5], False)):
+        deviation = _found(pair, free, [0, 0], [0.5, 0.5], covariance=spread).sdd_deviation
+        assert deviation == (pytest.approx(4 / float(pair.initial[2])) if told else None)
+
+
+def test_a_vertebras_shift_warns_between_its_limits_and_an_sdd_beyond_its_own():
+    low, high = LIMITS.vertebra_mm
+    for shift, told in ((low, 1), (high, 1), (-low, 1), (low - CLOSE, 0), (high + CLOSE, 0)):
+        assert len(warnings(replace(GOOD, runner_up_mm=shift))) == told
+    for deviation, told in ((LIMITS.most_sdd_deviation, 0), (LIMITS.most_sdd_deviation + CLOSE, 1)):
+        assert len(warnings(replace(GOOD, sdd_deviation=deviation))) == told
+
+
+def test_limits_are_those_of_the_committed_calibration():
+    """Its table says which limits the studies' cases were judged by; ``experiments.calibration`` writes it."""
+    with (Path(__file__).parents[2] / "results" / "calibration" / "limits.csv").open(encoding="utf-8") as file:
+        table = {row["limit"]: float(row["value"]) for row in csv.DictReader(file)}
+    assert {"most_expected_mm", "least_gain", "least_gap"} <= set(table)
+    assert table == {name: getattr(LIMITS, name) for name in table}
+
+
 def test_limits_are_sane():
     assert LIMITS.least_gain < LIMITS.unsure_gain
-    assert LIMITS.least_similarity < LIMITS.strong_similarity
+    assert 0 < LIMITS.least_similarity < LIMITS.strong_similarity < LIMITS.clear_similarity < 1
+
+
+def test_a_shift_of_one_vertebra_is_one_of_the_phantoms_smallest_to_its_largest(pair):
+    """In the detector plane: from the smallest as it is to the largest magnified. Half and twice are no vertebra."""
+    _, targets = make_phantom(6.0)
+    spacings = [math.dist(one, other) for one, other in pairwise(targets.values())]
+    magnification = float(pair.initial[2] / (pair.initial[2] - pair.initial[5]))
+    assert min(spacings) / 2 < LIMITS.vertebra_mm[0] < min(spacings)
+    assert max(spacings) * magnification < LIMITS.vertebra_mm[1] < 2 * max(spacings) * magnification

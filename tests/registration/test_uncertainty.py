@@ -1,15 +1,25 @@
 """Predicted spread against the spread over many noisy radiographs, and against the known effect of a shift."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 
 from regtorch.drr import render
+from regtorch.geometry import project
 from regtorch.imaging import Radiograph, attenuation
 from regtorch.registration import detector_frame
 from regtorch.registration.search.matcher import Matcher
-from regtorch.registration.trust.uncertainty import INFLATION, projection_covariance
+from regtorch.registration.trust.uncertainty import (
+    INFLATION,
+    PATCHES,
+    clustered_covariance,
+    projection_covariance,
+    root_mean_square_mm,
+)
+from regtorch.similarity.gradients import image_gradients
+from regtorch.similarity.gram import fixed_gradients
 
 from .conftest import DETECTOR
 from .test_search import matcher_of
@@ -88,3 +98,70 @@ def test_what_the_image_does_not_show_is_not_certain(pair):
     spread = matcher.covariance(away)
     assert bool(spread.diagonal()[[3, 7]].isinf().all())
     assert not bool(spread.isnan().any())
+
+
+def _explained(side: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A smooth image, its derivatives by three unknowns, another image like it, and weights; float64."""
+    y, x = torch.meshgrid(*[torch.linspace(-1, 1, n, dtype=torch.float64) for n in (side, side - 7)], indexing="ij")
+    image = (-3 * (x**2 + (y - 0.2) ** 2)).exp() + 0.3 * (4 * x + y).sin()
+    slopes = torch.stack([(2 * x).cos() * y, image**2, (3 * y + x).sin()])
+    noise = torch.randn(image.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    weight = torch.rand(image.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    return image, slopes, image + 0.02 * noise + 0.2 * (5 * y).sin(), weight
+
+
+def _sandwich(image, slopes, fixed):
+    """White's covariance from autograd: H = sum rho J^T J, and s = J^T (rho M - F) of each patch, patch by patch."""
+
+    def moving(unknowns):
+        raw = torch.cat(list(image_gradients((image + torch.tensordot(unknowns, slopes, 1))[None])))
+        weight = fixed.root**2
+        centred = (raw - (raw * weight).sum((1, 2), keepdim=True) / weight.sum()) * fixed.root
+        return centred / centred.flatten(1).norm(dim=1)[:, None, None]
+
+    zero = torch.zeros(len(slopes), dtype=torch.float64)
+    here, jacobian = moving(zero), torch.autograd.functional.jacobian(moving, zero)
+    rho = (here * fixed.unit).sum((1, 2))
+    curvature = sum(r * j.flatten(0, 1).mT @ j.flatten(0, 1) for r, j in zip(rho, jacobian, strict=True))
+    side = math.ceil(max(image.shape) / PATCHES)
+    meat = torch.zeros_like(curvature)
+    for row in range(0, image.shape[0], side):
+        for column in range(0, image.shape[1], side):
+            part = slice(None), slice(row, row + side), slice(column, column + side)
+            residual = (rho[:, None, None] * here - fixed.unit)[part]
+            score = (jacobian[part] * residual[..., None]).sum((0, 1, 2))
+            meat += score.outer(score)
+    return INFLATION**2 * torch.linalg.inv(curvature) @ meat @ torch.linalg.inv(curvature)
+
+
+@pytest.mark.parametrize("weighted", [False, True], ids=["all pixels", "weighted"])
+def test_the_covariance_is_whites_with_rho_in_curvature_and_scores(weighted):
+    image, slopes, other, weight = _explained()
+    fixed = fixed_gradients(other, weight if weighted else None)
+    rho = (fixed_gradients(image, weight if weighted else None).unit * fixed.unit).sum((1, 2))
+    assert bool((rho < 0.9).any()), "where rho is 1, leaving it out changes nothing"
+    torch.testing.assert_close(clustered_covariance(image, slopes, fixed), _sandwich(image, slopes, fixed))
+
+
+def test_images_of_opposite_contrast_are_not_certain():
+    image, slopes, other, _ = _explained()
+    assert bool(clustered_covariance(-image, -slopes, fixed_gradients(other, None)).diagonal().isinf().all())
+
+
+def test_errors_that_all_patches_share_only_add():
+    """Patches alone give the spread by noise, as the spread over many radiographs shows; the rest comes on top."""
+    assert INFLATION > 1
+
+
+def test_the_expected_error_is_the_root_of_the_mean_variance_of_points(pair):
+    problem = pair.problem(list(range(9)))
+    spread = torch.diag(torch.tensor([4.0, 1, 9, 0.25, 0.5, 2, 1e-4, 2e-4, 3e-4], dtype=torch.float64))
+    draws = torch.randn(4000, 9, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    poses = pair.initial + draws @ spread.sqrt()
+    off = [
+        (project(problem.pixel_from_patient(p), problem.points) - there).square().sum(1).mean()
+        for there in [project(problem.pixel_from_patient(pair.initial), problem.points)]
+        for p in poses
+    ]
+    actual = float(torch.stack(off).mean().sqrt()) * DETECTOR.pixel_mm
+    assert root_mean_square_mm(problem, pair.initial, spread) == pytest.approx(actual, rel=0.04)
