@@ -1,6 +1,7 @@
 """Pairs of a CT and a radiograph, as a YAML file beside the data tells them."""
 
 import json
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,7 @@ class Pair:
 
 
 _FILES = ("ct", "radiograph", "targets", "truth", "answer")
+_LENGTHS = ("sdd_mm", "pixel_mm")
 _NEEDED = ("ct", "radiograph", "view")
 
 
@@ -70,7 +72,15 @@ def _pair(where: str, facts: Any, folder: Path) -> Pair:
     if missing := [name for name in _NEEDED if facts.get(name) is None]:
         raise RegtorchError(f"{where}: no {missing[0]!r}, expected ct, radiograph and view")
     files = {name: folder / str(facts[name]) for name in _FILES if facts.get(name) is not None}
-    return Pair(**{**facts, **files})
+    return Pair(**{**facts, **files, **{name: _length(where, name, facts[name]) for name in _LENGTHS if name in facts}})
+
+
+def _length(where: str, name: str, value: Any) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise RegtorchError(f"{where}: {name} {value!r}, expected a positive number")
+    return float(value)
 
 
 def read_matrix(path: Path) -> Float[Tensor, "3 4"]:

@@ -154,7 +154,10 @@ def _distances(result: Registration, pair: Pair, points: Float[Tensor, "n 3"]) -
     start = result.stored_from_pixel @ pixel_from_patient(
         result.initial, result.detector, result.view, result.origin_patient_mm
     )
-    compared = {"answer_mm": (pair.answer, result.pixel_from_patient), "pde_mm": (pair.truth, result.pixel_from_patient)}
+    compared = {
+        "answer_mm": (pair.answer, result.pixel_from_patient),
+        "pde_mm": (pair.truth, result.pixel_from_patient),
+    }
     for column, (file, matrix) in (compared | {"initial_pde_mm": (pair.truth, start)}).items():
         if file is not None:
             row[column] = float(projection_distances(matrix, read_matrix(file), points, pixel_mm).mean())
