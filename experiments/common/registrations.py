@@ -13,11 +13,11 @@ PARAMETERS = (
     "x_s_mm", "y_s_mm", "z_s_mm", "x_obj_mm", "y_obj_mm", "z_obj_mm", "eta_deg", "theta_deg", "phi_deg",
 )  # fmt: skip
 
-_NAMES = ("arm", "ct", "view", "kind")
+_NAMES = ("arm", "pair", "ct", "view", "kind")
 _KEYS = (*_NAMES, "dof", "radiograph_threshold_hu")
 """Columns that name a registration, besides its seed, in one study or another."""
 
-_PLACES = ("ct", "view", "kind")
+_PLACES = ("pair", "ct", "view", "kind")
 """Columns that name a case, besides its seed. Registrations of different cases are not compared."""
 
 MERGED, TABLES = "registrations.parquet", "registrations*.csv"
