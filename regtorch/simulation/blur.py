@@ -23,7 +23,9 @@ def blur_detector(
     Raises ``RegtorchError`` for a negative or infinite width.
     """
     _check(fwhm_mm, "point spread")
-    return _log(_gaussian(_exp(line_integrals), fwhm_mm * _SIGMA_PER_FWHM / detector.pixel_mm), line_integrals)
+    return from_intensity(
+        gaussian(intensity(line_integrals), fwhm_mm * _SIGMA_PER_FWHM / detector.pixel_mm), line_integrals
+    )
 
 
 def blur_focal_spot(
@@ -67,21 +69,23 @@ def add_scatter(
     """
     _check(scatter_to_primary, "scatter-to-primary ratio", unit="")
     _check(width_mm, "scatter width")
-    primary = _exp(line_integrals)
+    primary = intensity(line_integrals)
     scattered = primary * line_integrals.double().clamp(min=0) / _SLAB
-    haze = _gaussian(scattered, width_mm / detector.pixel_mm)
-    return _log(primary + scatter_to_primary * haze, line_integrals)
+    haze = gaussian(scattered, width_mm / detector.pixel_mm)
+    return from_intensity(primary + scatter_to_primary * haze, line_integrals)
 
 
-def _exp(line_integrals: Float[Tensor, "*b h w"]) -> Float[Tensor, "*b h w"]:
+def intensity(line_integrals: Float[Tensor, "*b h w"]) -> Float[Tensor, "*b h w"]:
+    """Share of the open beam that arrives, in float64."""
     return torch.exp(-line_integrals.double())
 
 
-def _log(intensity: Float[Tensor, "*b h w"], like: Float[Tensor, "*b h w"]) -> Float[Tensor, "*b h w"]:
+def from_intensity(intensity: Float[Tensor, "*b h w"], like: Float[Tensor, "*b h w"]) -> Float[Tensor, "*b h w"]:
+    """Line integrals of an intensity, with the type and device of ``like``."""
     return -intensity.clamp(min=torch.finfo(torch.float64).tiny).log().to(like)
 
 
-def _gaussian(image: Float[Tensor, "*b h w"], sigma: float) -> Float[Tensor, "*b h w"]:
+def gaussian(image: Float[Tensor, "*b h w"], sigma: float) -> Float[Tensor, "*b h w"]:
     """Blur by ``sigma`` pixels; the image is mirrored at its borders, so its sum is kept."""
     rows, columns = (_heat(n, sigma).to(image) for n in image.shape[-2:])
     return rows @ image @ columns

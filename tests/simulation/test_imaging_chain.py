@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from regtorch.errors import RegtorchError
 from regtorch.geometry import Detector
 from regtorch.imaging import Volume
 from regtorch.phantom import make_phantom
@@ -11,8 +12,8 @@ from regtorch.simulation import Simulation, realistic, simulate
 
 DETECTOR = Detector(100, 80, 3.5)
 OFF = {
-    "soft_tissue_mm": 0.0, "devices": 0, "spot_mm": 0.0, "scatter_to_primary": 0.0, "photons": None, "fwhm_mm": 0.0,
-    "gain_rms": 0.0, "bits": None, "text": "",
+    "soft_tissue_mm": 0.0, "devices": 0, "spot_mm": 0.0, "scatter_to_primary": 0.0, "scatter_without_grid": 0.0,
+    "photons": None, "fwhm_mm": 0.0, "gain_rms": 0.0, "bits": None, "text": "", "processing": None,
 }  # fmt: skip
 
 
@@ -46,7 +47,9 @@ def test_without_effects_it_is_the_plain_radiograph(ct, parameters, plain):
 
 @pytest.mark.parametrize("effect", OFF)
 def test_each_effect_changes_the_image_and_has_its_own_switch(ct, parameters, plain, effect):
-    made = realistic(ct, parameters, "PA", DETECTOR, seed=3, **{k: v for k, v in OFF.items() if k != effect})
+    chosen = OFF | {"scatter_without_grid": 5.0, "processing": "soft"}
+    only = {k: v for k, v in OFF.items() if k != effect} | {k: v for k, v in chosen.items() if k == effect and v}
+    made = realistic(ct, parameters, "PA", DETECTOR, seed=3, **only)
     assert not torch.equal(made.image, plain.image)
 
 
@@ -63,6 +66,19 @@ def test_leaving_one_effect_out_leaves_the_random_numbers_of_the_others(ct, para
     without = realistic(ct, parameters, "PA", DETECTOR, seed=5, **(OFF | {"soft_tissue_mm": 8.0})).image
     moving = realistic(ct, parameters, "PA", DETECTOR, seed=5, **(only | {"soft_tissue_mm": 8.0})).image - without
     torch.testing.assert_close(still, moving, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [{"scatter_to_primary": 0.0, "scatter_without_grid": 5.0}, {"processing": "hard"}])
+def test_mobile_radiographs_are_reproducible_and_keep_the_truth(ct, parameters, plain, kind):
+    one, same, other = (realistic(ct, parameters, "PA", DETECTOR, seed=seed, **kind) for seed in (3, 3, 4))
+    assert torch.equal(one.image, same.image)
+    assert not torch.equal(one.image, other.image)
+    assert one.to_dict() == plain.to_dict()
+
+
+def test_unknown_processing_is_refused(ct, parameters):
+    with pytest.raises(RegtorchError, match="processing 'loud': expected one of soft, hard"):
+        realistic(ct, parameters, "PA", DETECTOR, processing="loud")
 
 
 def test_named_targets_are_kept(ct, parameters):

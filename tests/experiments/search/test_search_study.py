@@ -1,6 +1,7 @@
 """The search study appends, resumes, splits into shards and refuses mixed settings; figures need only its tables."""
 
 import csv
+import inspect
 import math
 import re
 import subprocess
@@ -11,6 +12,7 @@ import pandas as pd
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from omegaconf import DictConfig
 from PIL import Image
 
@@ -228,3 +230,18 @@ def test_figures_do_without_expectations(ct, tmp_path):
     figures.write(tmp_path)
     assert "not told" in (tmp_path / "table.md").read_text()
     assert not (tmp_path / "calibration.png").exists()
+
+
+@pytest.mark.parametrize("kind", ["no_grid", "processed"])
+def test_kinds_of_mobile_radiographs_are_those_of_the_other_studies(ct, tmp_path, kind):
+    ours = instantiate(_config(ct, tmp_path).radiographs[kind])
+    with initialize_config_dir(str(_ROOT / "conf"), version_base="1.3"):
+        theirs = instantiate(compose("simulation_study", [f"radiograph={kind}"]).radiograph)
+    assert ours.func is theirs.func
+    assert ours.keywords.items() <= theirs.keywords.items()
+    changed = {key for key, value in theirs.keywords.items() if value != _default(theirs.func, key)}
+    assert changed == set(ours.keywords)
+
+
+def _default(function, key: str):
+    return inspect.signature(function).parameters[key].default
