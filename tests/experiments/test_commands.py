@@ -33,7 +33,7 @@ def test_help_of_a_study_has_its_settings_with_comments_and_its_groups():
     assert "threshold_hu: 100.0            # threshold T of DRRs" in done.stdout
     assert "least_targets: 2  " in done.stdout
     assert "registration: cmaes, cmaes_full, hybrid (default)" in done.stdout
-    assert "radiograph: matched (default), realistic" in done.stdout
+    assert "radiograph: matched (default), no_grid, processed, realistic" in done.stdout
     assert "output_subdir" not in done.stdout
 
 
