@@ -8,7 +8,7 @@ A new rule needs an entry of ``CASES``, and its picture on the page docs/explain
 import sys
 import textwrap
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,11 @@ def wired(made: Simulation, *, wires: int) -> Radiograph:
     generator = torch.Generator().manual_seed(2)
     image, _ = add_devices(made.image, made.detector, count=wires, width_mm=(2.0, 6.0), generator=generator)
     return Radiograph.from_image(image, made.detector)
+
+
+def finer(made: Simulation) -> Radiograph:
+    """The same pixels, said to be smaller."""
+    return Radiograph.from_image(made.image, replace(made.detector, pixel_mm=2.0))
 
 
 def collimated(made: Simulation, *, vertebra: str, rows: int, columns: int) -> Radiograph:
@@ -126,6 +131,7 @@ CASES = {
         options={"half_range": torch.tensor([75, 75, 150, 150, 150, 150, 0.02, 0.02, 0.02])},
         moved=(0, 0, 0, 0, 0, 0, 0, 0, 0.1),
     ),
+    "behind_detector": Case(finer, KNOWN, marked=False),
     "mirrored_close": Case(partial(wired, wires=30), KNOWN),
     "found_once": Case(options=ALL_TISSUE | {"method": paper(3), "seed": 5}, other=("runner-up", runner_up)),
     "rivalled": Case(
@@ -185,7 +191,7 @@ def draw(code: str, folder: Path) -> None:
     figure, panels = plt.subplots(1, 3, figsize=(8.4, 4.0))
     figure.subplots_adjust(0.005, 0.08, 0.995, 0.82, wspace=0.02)
     dimmed = 0.4 + 0.6 * radiograph.weight
-    drr = render(attenuation(ct, threshold_hu=None), result.parameters, DETECTOR)
+    drr = render(attenuation(ct, threshold_hu=None), result.parameters, result.detector)
     shown = {
         "radiograph": _grey(radiograph.image) * dimmed,
         "DRR of the answer": _grey(drr),
@@ -201,8 +207,8 @@ def draw(code: str, folder: Path) -> None:
         points = torch.tensor(list(made.targets.values()), dtype=torch.float64)
         poses = {label: (pose(result, points), BLUE)} | poses
     for label, (parameters, colour) in poses.items():
-        matrix = pixel_from_patient(parameters, DETECTOR, result.view, result.origin_patient_mm)
-        _draw_pose(panels[2], parameters, colour, label)
+        matrix = pixel_from_patient(parameters, result.detector, result.view, result.origin_patient_mm)
+        _draw_pose(panels[2], parameters, result.detector, colour, label)
         _draw_vertebrae(panels[2], pixels(matrix, list(made.targets)), colour, list(made.targets) if case.zoom else [])
     if case.marked:
         true = pixels(made.pixel_from_patient, list(made.targets))
@@ -228,10 +234,10 @@ def _evened(image: Tensor) -> Tensor:
     return image - torch.nn.functional.avg_pool2d(padded, 21, stride=1)[0, 0]
 
 
-def _draw_pose(axes: plt.Axes, parameters: Tensor, colour: str, label: str) -> None:
+def _draw_pose(axes: plt.Axes, parameters: Tensor, detector: Detector, colour: str, label: str) -> None:
     """Edges of bone."""
     bone = attenuation(patient()[0], threshold_hu=100.0)
-    strength = edge_strength(render(bone, parameters, DETECTOR)).clamp(max=0.9)
+    strength = edge_strength(render(bone, parameters, detector)).clamp(max=0.9)
     opaque = torch.where(strength > 0.3, strength, 0).numpy()
     tint = np.broadcast_to(matplotlib.colors.to_rgb(colour), (*opaque.shape, 3))
     axes.imshow(np.dstack([tint, opaque]), interpolation="nearest")

@@ -1,7 +1,7 @@
 """Registrations of any studies as cases of the verdict: their evidence, and whether the answer is right or wrong."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,9 @@ EVIDENCE = "evidence_"
 _LISTS = ("frozen", "at_limit")
 _FLAGS = ("comparable",)
 _COUNTS = ("starts", "agreeing", "looks")
+_TEXTS = ("tissue",)
+
+_MEASURED = [field.name for field in fields(Evidence) if field.default is MISSING]
 
 
 @dataclass(frozen=True)
@@ -31,12 +34,12 @@ class Case:
 def read_cases(folders: Sequence[Path]) -> list[Case]:
     """Cases of all folders. A decoy is wrong wherever it ends.
 
-    Raises ``RegtorchError`` for rows without evidence.
+    Evidence that has a default may have no column, as in older rows. Raises ``RegtorchError`` for rows without evidence.
     """
     cases = []
     for folder in folders:
         rows = read_rows(folder)
-        if missing := [field.name for field in fields(Evidence) if EVIDENCE + field.name not in rows]:
+        if missing := [name for name in _MEASURED if EVIDENCE + name not in rows]:
             raise RegtorchError(f"{folder}: no column '{EVIDENCE}{missing[0]}', expected rows with evidence")
         decoy = rows.kind.astype(str).str.startswith(DECOY) if "kind" in rows else pd.Series(False, rows.index)
         cases += [
@@ -54,12 +57,15 @@ def _right(pde_mm: float, decoy: bool) -> bool | None:
 
 def _evidence(row: dict[str, Any]) -> Evidence:
     """The numbers of a row; an empty cell was not measured."""
-    return Evidence(**{field.name: _value(field.name, row[EVIDENCE + field.name]) for field in fields(Evidence)})
+    told = {field.name: row[EVIDENCE + field.name] for field in fields(Evidence) if EVIDENCE + field.name in row}
+    return Evidence(**{name: _value(name, value) for name, value in told.items()})
 
 
 def _value(name: str, value: Any) -> Any:
     if name in _LISTS:
         return () if pd.isna(value) else tuple(str(value).split())
+    if name in _TEXTS:
+        return value
     if name in _FLAGS:
         return str(value) == "True"
     if pd.isna(value):

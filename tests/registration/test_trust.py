@@ -30,6 +30,7 @@ BROKEN = {
     "other_similarity": {"comparable": False},
     "mirrored_better": {"mirrored": GOOD.best_start + CLOSE},
     "at_limit": {"at_limit": ("z_s", "theta")},
+    "behind_detector": {"behind_mm": LIMITS.most_behind_mm + CLOSE},
     "mirrored_close": {
         "best_start": LIMITS.strong_similarity - CLOSE,
         "mirrored": LIMITS.strong_similarity - LIMITS.least_over_mirrored,
@@ -172,6 +173,24 @@ def test_limits_of_the_range_are_named(pair):
     frozen = _found(pair, PATIENT, [0, 0], [0.5, 0.5])
     assert frozen.at_limit == ()
     assert frozen.frozen == ("x_s", "y_s", "z_s")
+
+
+def test_anatomy_behind_the_detector_is_measured_by_its_deepest_point(pair):
+    problem = pair.problem(ALL)
+    answer, similarity = pair.initial.clone(), torch.tensor([0.5], dtype=torch.float64)
+
+    def behind_mm():
+        return measure(problem, answer, 0.5, answer[None], similarity, comparable=True).behind_mm
+
+    assert behind_mm() == 0
+    answer[5] -= 1000
+    far = behind_mm()
+    answer[5] -= 25
+    assert behind_mm() == pytest.approx(far + 25)
+    answer[5:] = 0
+    assert problem.view == "PA"
+    to_the_back = problem.points[:, 1] - problem.attenuating.origin_patient_mm[1]
+    assert behind_mm() == pytest.approx(-float(to_the_back.min()))
 
 
 def test_expected_and_released_errors_are_those_of_the_points(pair):

@@ -52,6 +52,7 @@ class Search:
     end: End | None = None
     gain: float | None = None
     answer: Answer | None = None
+    by_whole: bool = False
     moves: Float[Tensor, "9"] | None = None
 
     @property
@@ -160,7 +161,8 @@ def finish(search: Search) -> None:
             whole = Matcher.of(problem, settings, problem.whole, settings.finest_pixels, search.trace)
             whole = whole.continued() if tissues.goes_on else whole
             other = finished(whole, answer.parameters, settings.finest_steps, settings.edges_px)
-            answer = other if other.plain_similarity > answer.plain_similarity else answer
+            if other.plain_similarity > answer.plain_similarity:
+                answer, search.by_whole = other, True
     search.answer = answer
     search.add("finish", bone, 1, answer.similarity)
 
@@ -190,6 +192,7 @@ def _found(search: Search) -> Found:
         mirrored=_mirrored_similarity(search),
         gain=search.gain,
         looks=search.looks,
+        tissue="all tissue" if search.by_whole else "bone",
     )
     return Found(
         parameters=answer.parameters,

@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from regtorch.geometry import NAMES, Z_OBJ, Z_S, project
+from regtorch.geometry import NAMES, Z_OBJ, Z_S, project, world_from_ct
 from regtorch.registration.problem import Problem
 from regtorch.registration.trust.limits import LIMITS, Limits
 from regtorch.registration.trust.uncertainty import root_mean_square_mm
@@ -66,6 +66,12 @@ class Evidence:
     looks: int
     """Times that the search looked: 1, or more where the answer did not convince."""
 
+    behind_mm: float = 0.0
+    """How far the anatomy in the image reaches behind the detector, mm; 0 where all of it is before the detector."""
+
+    tissue: Literal["bone", "all tissue"] = "bone"
+    """The tissue whose DRR the answer and its covariance rest on."""
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as written to ``result.json`` and to the tables of studies."""
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
@@ -84,6 +90,7 @@ def measure(
     mirrored: float | None = None,
     gain: float | None = None,
     looks: int = 1,
+    tissue: Literal["bone", "all tissue"] = "bone",
     limits: Limits = LIMITS,
 ) -> Evidence:
     """The evidence for an answer (mm, rad) that ``starts``, best first, have led to.
@@ -95,6 +102,7 @@ def measure(
         mirrored: The best start's similarity for the radiograph mirrored.
         gain: Factor by which robust weights raise the similarity.
         looks: Times that the search looked.
+        tissue: The tissue that the last climb matched.
         limits: Which distance counts as the same place, and which margin as a limit of the range.
     """
     agree = problem.shift_mm(starts, parameters) < limits.agree_mm
@@ -115,6 +123,8 @@ def measure(
         frozen=tuple(name for index, name in enumerate(NAMES) if index not in searched.free),
         at_limit=tuple(NAMES[index] for index in searched.at_limit(parameters, limits.margin)),
         looks=looks,
+        behind_mm=_behind_mm(problem, parameters),
+        tissue=tissue,
     )
 
 
@@ -127,6 +137,13 @@ def convincing(
     agree = problem.shift_mm(starts, starts[0]) < limits.agree_mm
     gap = _gap(similarity, agree)
     return int(agree.sum()) >= limits.least_agreeing and (gap is None or gap >= limits.least_gap)
+
+
+def _behind_mm(problem: Problem, parameters: Float[Tensor, "9"]) -> float:
+    """From the points' heights over the detector, Z of the world."""
+    in_ct = problem.points - problem.attenuating.origin_patient_mm
+    height = in_ct @ world_from_ct(parameters, problem.view)[2, :3] + parameters[Z_OBJ]
+    return max(0.0, -float(height.min()))
 
 
 def _gap(similarity: Float[Tensor, " n"], agree: Bool[Tensor, " n"]) -> float | None:

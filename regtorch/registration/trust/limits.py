@@ -40,6 +40,9 @@ class Limits:
     clear_similarity: float = 0.7
     """Similarity from which a tissue explains the radiograph so well that robust weights have nothing to gain."""
 
+    most_behind_mm: float = 10.0
+    """Depth of anatomy behind the detector, mm, that an error of SDD, pixel size or points may feign. Declared."""
+
     vertebra_mm: tuple[float, float] = (15.0, 55.0)
     """Shift of the runner-up along the body axis, mm in the detector plane, that may be one vertebra."""
 

@@ -68,6 +68,12 @@ RULES = (
         "{at_limit} at the limit of the range searched: the answer may lie beyond",
     ),
     Rule(
+        "behind_detector",
+        "doubtful",
+        lambda e, limits: e.behind_mm > limits.most_behind_mm,
+        "anatomy {behind_mm:.0f} mm behind the detector: pixel size, SDD or place must be wrong",
+    ),
+    Rule(
         "mirrored_close",
         "doubtful",
         lambda e, limits: (
