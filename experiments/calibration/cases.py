@@ -34,7 +34,8 @@ class Case:
 def read_cases(folders: Sequence[Path]) -> list[Case]:
     """Cases of all folders. A decoy is wrong wherever it ends.
 
-    Evidence that has a default may have no column, as in older rows. Raises ``RegtorchError`` for rows without evidence.
+    Evidence that has a default may have no column, as in older rows. Raises ``RegtorchError`` for rows without other
+    evidence.
     """
     cases = []
     for folder in folders:

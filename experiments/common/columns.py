@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 import regtorch
+from experiments.common.machine import MACHINE, machine
 from regtorch.evaluation import evaluate
 from regtorch.geometry import KEYS, parameters_to_dict, pixel_from_patient
 from regtorch.imaging import Volume
@@ -25,7 +26,7 @@ ACCURACY = (
 )  # fmt: skip
 EVIDENCE = tuple(f"evidence_{field.name}" for field in fields(Evidence))
 VERDICT = ("expected_pde_mm", "within_region", "similarity", "status", "message", "reasons", *EVIDENCE)
-COST = ("evaluations", "seconds", "threads", "device", "version")
+COST = ("evaluations", "seconds", "threads", "device", "version", *MACHINE)
 
 REGISTRATION = (*ACCURACY, *VERDICT, *COST)
 """The columns of ``registration_row``."""
@@ -80,13 +81,14 @@ def _cell(value: Any) -> Any:
 
 
 def cost_of(result: Registration, threads: int) -> dict[str, Any]:
-    """The columns ``COST``: the effort of the registration, and the device and code that made it."""
+    """The columns ``COST``: the effort of the registration, and the code and machine that made it."""
     return {
         "evaluations": result.evaluations,
         "seconds": round(result.seconds, 2),
         "threads": threads,
         "device": result.device,
         "version": code_version(Path(regtorch.__file__).parent),
+        **machine(),
     }
 
 

@@ -31,6 +31,7 @@ def simulation_rows(seeds: int, arms: dict[str, int], views: tuple[str, ...] = (
             part["status"] = np.where(pde > 5, "doubtful", "ok")
             part["message"], part["evaluations"], part["seconds"] = "5 of 12 starts agree, the next is worse", 2400, 5.5
             part["threads"], part["device"], part["version"] = 1, "cpu", "0.1.0"
+            part[["torch", "numba", "numpy", "processor"]] = "2.6.0", "0.61.0", "2.1.0", "some CPU"
             part[["marker_x_mm", "marker_y_mm"]] = random.normal(0, 30, (seeds, 2))
             offset = -1.4 * (true - _DEFAULT)[:, 3:5]
             for corner, (x, y) in enumerate([(-28, 28), (28, 28), (28, -28), (-28, -28)], 1):

@@ -5,6 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 import pandas as pd
 
+from experiments.common.machine import MACHINE
 from experiments.common.registrations import keys_of, read_rows, shown, tables_of
 from experiments.common.report import html
 from experiments.common.report.figures import before_and_after_figure, share_figure
@@ -65,7 +66,7 @@ def _made_by(rows: pd.DataFrame) -> str:
     """The number of registrations, and their versions, devices and threads where the table has them."""
     told = [
         f"{name} {', '.join(map(shown, rows[name].unique()))}"
-        for name in ("version", "device", "threads")
+        for name in ("version", "device", "threads", *MACHINE)
         if name in rows
     ]
     return f"{len(rows):,} registrations; " + "; ".join(told)
