@@ -28,7 +28,8 @@ def told_in_one_line(command: str) -> Iterator[None]:
     except RegtorchError as error:
         message = str(error)
     except OmegaConfBaseException as error:
-        message = f"{error.full_key}: {str(error).splitlines()[0]}"
+        key = f"{error.full_key}: " if error.full_key else ""
+        message = key + str(error).splitlines()[0]
     else:
         return
     print(f"{command}: error: {' '.join(message.split())}", file=sys.stderr)

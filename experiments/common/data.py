@@ -3,9 +3,11 @@
 from functools import lru_cache
 from pathlib import Path
 
+import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from regtorch.errors import RegtorchError
 from regtorch.formats import read_points, read_volume
 from regtorch.imaging import Volume
 from regtorch.phantom import make_phantom
@@ -30,6 +32,19 @@ def ct(*, path: str | Path, targets: str | Path | None = None) -> tuple[Volume, 
 
     Raises ``RegtorchError`` for files that are missing or cannot be read.
     """
-    points = None if targets is None else read_points(targets)
     volume = read_volume(path)
-    return volume, points or bone_points(volume)
+    return volume, (targets and read_targets(targets, volume)) or bone_points(volume)
+
+
+def read_targets(path: str | Path, volume: Volume) -> Targets:
+    """Named points (LPS mm) of a CT. Raises ``RegtorchError`` where none of them lies in it, as with RAS for LPS."""
+    points = read_points(path)
+    patient_from_voxel = volume.patient_from_voxel.double().cpu()
+    places = torch.tensor([*points.values()], dtype=torch.float64).reshape(-1, 3) - patient_from_voxel[:3, 3]
+    voxels = torch.linalg.solve(patient_from_voxel[:3, :3], places.T).T
+    last = torch.tensor(volume.data.shape[::-1]) - 1
+    if points and not ((voxels >= 0) & (voxels <= last)).all(dim=1).any():
+        raise RegtorchError(
+            f"{path}: none of its {len(points)} targets lies in the CT, expected LPS mm of the CT's file"
+        )
+    return points

@@ -35,7 +35,8 @@ def refuse_to_mix(config: DictConfig, folder: Path, unshared: Iterable[str], par
         changed += [f"{key}.{name}" for name in _changed(whole, own[key] | before.get(key, {}))]
         own[key] = whole
     if changed:
-        raise RegtorchError(f"{folder}: made with another {changed[0]!r}, expected that of {kept} or another out=")
+        other = "arm= or out=" if "arm" in own else "out="
+        raise RegtorchError(f"{folder}: made with another {changed[0]!r}, expected that of {kept} or another {other}")
     return own
 
 

@@ -1,5 +1,6 @@
 """Registrations of the search study: one row for each CT, view, kind of radiograph and seed."""
 
+import sys
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,13 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from experiments.common.columns import REGISTRATION, nine_parameters, registration_row
+from experiments.common.data import read_targets
 from experiments.common.loop import Plan, Tell, register_missing, silent, telling
 from experiments.common.pictures import went_wrong, write_picture
 from experiments.common.registrations import DECOY
 from experiments.common.table import parse_shard
 from regtorch.errors import RegtorchError
-from regtorch.formats import read_points, read_volume
+from regtorch.formats import read_volume
 from regtorch.geometry import Detector
 from regtorch.imaging import Radiograph, Volume
 from regtorch.registration import COORDINATES, initial_parameters, register
@@ -63,8 +65,9 @@ class Study:
     def __init__(self, config: DictConfig) -> None:
         self.config = config
         self.detector = Detector(**config.detector)
-        self.targets = _targets(config)
+        files = _target_files(config)
         self.cts = {Path(path).name: read_volume(path) for path in config.cts}
+        self.targets = {name: read_targets(file, self.cts[name]) for name, file in files.items()}
         self.given = {name: _middle(ct, config.given).to(config.device) for name, ct in self.cts.items()}
 
     def row(self, case: Case, tell: Tell = silent) -> dict[str, Any]:
@@ -134,8 +137,8 @@ def _middle(ct: Volume, share: float) -> Volume:
     return ct.on_grid(ct.data.narrow(2 - axis, first, slices - 2 * first), patient_from_voxel)
 
 
-def _targets(config: DictConfig) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """Named points (LPS mm) of each CT that has a file of them."""
+def _target_files(config: DictConfig) -> dict[str, Path]:
+    """The file of points of each CT that has one; a line on stderr tells which have none."""
     if config.targets is None:
         return {}
     folder = Path(config.targets)
@@ -143,4 +146,7 @@ def _targets(config: DictConfig) -> dict[str, dict[str, tuple[float, float, floa
         raise RegtorchError(f"targets={folder}: no such folder, expected one with NAME.csv for a CT NAME, or null")
     names = [Path(path).name for path in config.cts]
     files = {name: folder / f"{name.partition('.')[0]}.csv" for name in names}
-    return {name: read_points(file) for name, file in files.items() if file.exists()}
+    for name, file in files.items():
+        if not file.exists():
+            print(f"{name}: no {file}, so the targets are points spread over its bones", file=sys.stderr)
+    return {name: file for name, file in files.items() if file.exists()}

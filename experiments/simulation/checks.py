@@ -140,16 +140,21 @@ def check(config: DictConfig) -> None:
     made = {key: _checked(config, key) for key in COMPONENTS}
     method = getattr(made["registration"], "func", made["registration"])
     if method is hybrid and made["similarity"] is not gradient_correlation:
-        raise RegtorchError("similarity: registration=hybrid expects gradient_correlation, others registration=cmaes")
+        raise RegtorchError(
+            "similarity: registration=hybrid expects gradient_correlation; give registration=cmaes to another one, "
+            "or study=small_budget, the same with fewer images"
+        )
     refuse_to_mix(config, Path(config.out, config.arm), UNSHARED)
 
 
 def component(config: DictConfig) -> Callable[..., Any]:
     """The function of a component's YAML with its options bound; without options the function itself.
 
-    Methods recognise some similarities by identity.
+    Methods recognise some similarities by identity. Raises ``TypeError`` for a YAML that makes no function.
     """
     made = instantiate(config, _convert_="all")
+    if not isinstance(made, partial):
+        raise TypeError("no function, expected _target_ and _partial_: true, or defaults: [NAME] of a file with both")
     return made if made.keywords else made.func
 
 
@@ -181,4 +186,6 @@ def _check_options(key: str, made: Any) -> None:
         _check_options(f"{key}.{name}", value)
         some = tuple(value) if isinstance(value, list) else value
         if name in kinds and not is_bearable(some, kinds[name], conf=_WHOLE_NUMBERS_ARE_NUMBERS):
-            raise RegtorchError(f"{key}.{name}={value}: expected {inspect.formatannotation(kinds[name])}")
+            kind = re.sub(r"[\w.]+\.", "", inspect.formatannotation(kinds[name]))
+            example = f", written as in conf/{key.partition('.')[0]}/" if isinstance(value, list) else ""
+            raise RegtorchError(f"{key}.{name}={value}: expected {kind}{example}")

@@ -105,7 +105,7 @@ def measure(
         tissue: The tissue that the last climb matched.
         limits: Which distance counts as the same place, and which margin as a limit of the range.
     """
-    agree = problem.shift_mm(starts, parameters) < limits.agree_mm
+    agree = problem.same_place(starts, parameters, limits.agree_mm)
     searched = problem.searched
     return Evidence(
         comparable=comparable,
@@ -134,7 +134,7 @@ def convincing(
     """Whether starts, best first, agree on the best one's place, without a rival and away from limits of the range."""
     if problem.searched.at_limit(starts[0], limits.margin):
         return False
-    agree = problem.shift_mm(starts, starts[0]) < limits.agree_mm
+    agree = problem.same_place(starts, starts[0], limits.agree_mm)
     gap = _gap(similarity, agree)
     return int(agree.sum()) >= limits.least_agreeing and (gap is None or gap >= limits.least_gap)
 

@@ -97,6 +97,12 @@ def test_targets_are_those_of_a_folder_that_exists_or_of_none(ct, tmp_path):
         search.Study(_config(ct, tmp_path, f"targets={tmp_path / 'none'}"))
 
 
+def test_targets_that_lie_outside_the_ct_are_refused(ct, tmp_path):
+    (tmp_path / "one.csv").write_text("L3,1,2,30000\n")
+    with pytest.raises(RegtorchError, match=r"one\.csv: none of its 1 targets lies in the CT, expected LPS"):
+        search.Study(_config(ct, tmp_path, f"targets={tmp_path}"))
+
+
 def test_registrations_are_by_the_threshold_asked_for(ct, tmp_path, monkeypatch):
     given = {}
     register = search.register

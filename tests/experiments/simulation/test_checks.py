@@ -53,12 +53,19 @@ def test_a_wrong_setting_is_named(settings, wrong, key):
         check(settings(wrong))
 
 
+def test_a_component_that_is_no_function_is_named(settings, tmp_path):
+    config = settings(f"out={tmp_path}")
+    config.registration = {"settings": {"poses": 60}}
+    with pytest.raises(RegtorchError, match=r"^registration: no function, expected _target_"):
+        check(config)
+
+
 def test_a_component_may_have_no_options(settings, tmp_path):
     config = settings(f"out={tmp_path}")
     config.registration = {"_target_": "regtorch.registration.hybrid", "_partial_": True}
     check(config)
     config.similarity = {"_target_": "regtorch.similarity.normalized_cross_correlation", "_partial_": True}
-    with pytest.raises(RegtorchError, match="expects gradient_correlation"):
+    with pytest.raises(RegtorchError, match=r"expects gradient_correlation; give registration=cmaes"):
         check(config)
 
 
