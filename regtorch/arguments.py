@@ -115,7 +115,8 @@ def _add_register(commands: Any) -> None:
     add("--parameters", default="patient", choices=("patient", "detector"), help=text)
     add("--pixel-mm", type=_PIXEL_MM, metavar="MM", help="pixel size; overrules the file's")
     add("--sdd-mm", type=_SDD_MM, metavar="MM", help="source-detector distance to begin with (the file's, else 1000)")
-    _add_ranges(add, "searched about the start, 0 to freeze", (75, 75, 150), (150, 150, 150), 12)
+    what = "searched about the start, 0 to freeze; unless given it goes on where the search ends at its limit"
+    _add_ranges(add, what, (75, 75, 150), (150, 150, 150), 12, gives_way=True)
     add("--landmark-ct", type=_COORDINATE, nargs=3, metavar=("X", "Y", "Z"), help="a point of the CT, LPS mm ...")
     where = ("COLUMN", "ROW")
     add("--landmark-radiograph", type=_COORDINATE, nargs=2, metavar=where, help="... and the pixel of the file there")
@@ -147,13 +148,24 @@ def _command(commands: Any, name: str, text: str) -> Callable[..., Any]:
     return parser.add_argument
 
 
-def _add_ranges(add: Callable[..., Any], what: str, source: Sequence[int], patient: Sequence[int], deg: int) -> None:
+def _add_ranges(
+    add: Callable[..., Any],
+    what: str,
+    source: Sequence[int],
+    patient: Sequence[int],
+    deg: int,
+    *,
+    gives_way: bool = False,
+) -> None:
+    """Ranges that give way are NaN unless given."""
+    unless_given = 3 * (math.nan,)
     for name, default in (("source", source), ("patient", patient)):
         text = f"half range of the {name}'s position {what} ({' '.join(map(str, default))})"
         kind = {"type": _HALF_RANGE_MM, "nargs": 3, "metavar": ("X", "Y", "Z")}
-        add(f"--{name}-range-mm", **kind, default=default, help=text)
+        add(f"--{name}-range-mm", **kind, default=unless_given if gives_way else default, help=text)
     text = f"half range of each angle, or of eta, theta and phi, {what} ({deg})"
-    add("--rotation-range-deg", type=_angles, default=str(deg), metavar="DEG[,DEG,DEG]", help=text)
+    angles = unless_given if gives_way else str(deg)
+    add("--rotation-range-deg", type=_angles, default=angles, metavar="DEG[,DEG,DEG]", help=text)
 
 
 def _add_seed_and_threads(add: Callable[..., Any]) -> None:

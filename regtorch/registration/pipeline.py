@@ -22,6 +22,7 @@ from regtorch.imaging.points import spread_points
 from regtorch.limits import LEAST_PIXELS, MOST_PIXELS
 from regtorch.registration.found import Found
 from regtorch.registration.problem import Problem, Progress, Similarity
+from regtorch.registration.reach import searched_on
 from regtorch.registration.result import Registration
 from regtorch.registration.search import hybrid
 from regtorch.registration.start import SEARCH, Point2, Point3, initial_parameters
@@ -68,7 +69,7 @@ def register(
         free: Parameters that may move: 9 (all), 7 (all but x_s and y_s), 6 (all but the source), or their names.
         coordinates: Numbers that the search varies: ``selection``, the free parameters, or ``detector_frame``.
         initial: The nine parameters at the start (mm, rad); unless given, ``initial_parameters`` makes them.
-        half_range: How far from the start to look (mm, rad); 0 freezes.
+        half_range: How far from the start to look (mm, rad); 0 freezes. NaN or None: the default, which gives way.
         sdd_mm: Source-detector distance; unless given the radiograph's file says it, or it is 1000 mm.
         landmark_patient_mm: A point of the CT, LPS mm; ``landmark_stored`` is its (column, row) in the file.
         threshold_hu: From here on the CT is bone; None: all tissue counts as bone.
@@ -97,10 +98,10 @@ def register(
         progress=progress,
         coordinates=coordinates,
     )
-    return _judged(problem, method(problem), looks_wrong, began)
+    return _judged(problem, *searched_on(method, problem, half_range), looks_wrong, began)
 
 
-def _judged(problem: Problem, found: Found, looks_wrong: list[str], began: float) -> Registration:
+def _judged(problem: Problem, found: Found, moved: list[str], looks_wrong: list[str], began: float) -> Registration:
     status, message, reasons = judge(found.evidence)
     return Registration(
         parameters=found.parameters,
@@ -114,7 +115,7 @@ def _judged(problem: Problem, found: Found, looks_wrong: list[str], began: float
         message=message,
         reasons=reasons,
         evidence=found.evidence,
-        warnings=(*looks_wrong, *warnings(found.evidence)),
+        warnings=(*looks_wrong, *moved, *warnings(found.evidence)),
         similarity=found.similarity,
         starts=found.starts,
         start_similarity=found.start_similarity,
@@ -157,7 +158,8 @@ def _start(
 
 def _searched(initial: Float[Tensor, "9"], half_range: Float[Tensor, "9"] | None, moving: list[int]) -> Range:
     """The range of the parameters in ``moving``; the others are frozen."""
-    half_range = torch.tensor(SEARCH) if half_range is None else half_range
+    default = torch.tensor(SEARCH, dtype=torch.float64)
+    half_range = default if half_range is None else torch.where(half_range.isnan(), default, half_range.double())
     if not bool((half_range >= 0).all()):
         raise RegtorchError(f"half range {half_range.tolist()}: expected numbers from 0 (frozen) on")
     given = half_range.double()
@@ -179,7 +181,10 @@ def _check(radiograph: Radiograph, seed: int, **given: Float[Tensor, "9"] | None
         raise RegtorchError(f"seed {seed}: expected a whole number from 0 to {_SEEDS - 1}")
     _check_radiograph(radiograph)
     for name, numbers in given.items():
-        if numbers is not None and not (numbers.shape == (len(NAMES),) and bool(numbers.isfinite().all())):
+        if numbers is None:
+            continue
+        fits = numbers.isfinite() | numbers.isnan() if name == "half_range" else numbers.isfinite()
+        if numbers.shape != (len(NAMES),) or not bool(fits.all()):
             raise RegtorchError(f"{name} of {numbers.tolist()}: expected nine finite numbers")
 
 
