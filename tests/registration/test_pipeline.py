@@ -233,9 +233,17 @@ def test_bad_seeds_and_half_ranges_are_refused(pair):
         register(pair.ct, pair.radiograph, "PA", seed=-1)
     with pytest.raises(RegtorchError, match="everything is frozen"):
         register(pair.ct, pair.radiograph, "PA", half_range=torch.zeros(9))
-    for name in ("initial", "half_range"):
-        with pytest.raises(RegtorchError, match=rf"{name} of \[nan, .*\]: expected nine finite numbers"):
-            register(pair.ct, pair.radiograph, "PA", **{name: torch.full((9,), torch.nan)})
+    for name, wrong in (("initial", torch.nan), ("half_range", torch.inf)):
+        with pytest.raises(RegtorchError, match=rf"{name} of \[{wrong}, .*\]: expected nine finite numbers"):
+            register(pair.ct, pair.radiograph, "PA", **{name: torch.full((9,), wrong)})
+
+
+def test_a_half_range_that_is_no_number_is_the_default(pair):
+    given = torch.full((9,), torch.nan)
+    given[:3] = 0
+    method = Told()
+    register(pair.ct, pair.radiograph, "PA", half_range=given, method=method)
+    assert method.problem.searched.half_range.tolist() == pytest.approx([0, 0, 0, *SEARCH[3:]])
 
 
 def test_numbers_that_are_none_are_refused(pair):
