@@ -1,6 +1,7 @@
 """The options of the commands and their help."""
 
 import math
+import re
 import subprocess
 import sys
 
@@ -39,11 +40,15 @@ sys.exit(f"loads {heavy}" if heavy else 0)
         assert word in done.stdout
 
 
-def test_what_is_said_of_defaults_is_what_the_package_does():
+def test_what_is_said_of_defaults_is_what_the_package_does(capsys):
     """The command line repeats these values, so that it need not import heavy modules."""
     found = parser().parse_args(REGISTER.split())
-    angles = [math.radians(deg) for deg in found.rotation_range_deg]
-    assert [*found.source_range_mm, *found.patient_range_mm, *angles] == pytest.approx(SEARCH)
+    assert all(map(math.isnan, [*found.source_range_mm, *found.patient_range_mm, *found.rotation_range_deg]))
+    with pytest.raises(SystemExit):
+        parser().parse_args(["register", "--help"])
+    said = re.findall(r"its limit \(([\d ]+)\)", " ".join(capsys.readouterr().out.split()))
+    assert [float(number) for text in said[:2] for number in text.split()] == list(SEARCH[:6])
+    assert [math.radians(float(said[2]))] * 3 == pytest.approx(SEARCH[6:])
     assert found.threshold_hu == BONE_HU
     made = parser().parse_args(["simulate", "CT", "--view", "PA", "--out", "DIR"])
     angles = [math.radians(deg) for deg in made.rotation_range_deg]
