@@ -16,6 +16,9 @@ from regtorch.registration.unknowns import Range
 _MOVES = 4
 """Most times that the range moves on: 150 mm about an SDD of 1000 mm then reach 2575 mm."""
 
+_NOISE = 0.01
+"""Similarity by which ends of unfinished climbs in one basin differ."""
+
 _SDD_MM = (500.0, 3000.0)
 """Least and largest source-detector distance."""
 
@@ -35,7 +38,7 @@ def searched_on(
     """The method's answer, and a line for each parameter whose range moved on to hold it.
 
     ``given`` holds the half ranges that somebody chose, NaN for others: these alone may move. A search beyond a limit
-    counts if its best start is more similar; else the answer before it stands, at its limit.
+    counts unless its best start is less similar; then the answer before it stands, at its limit.
     """
     found, start = method(problem), problem.searched
     for _ in range(_MOVES):
@@ -48,7 +51,7 @@ def searched_on(
         problem.progress(0.0, "the answer lies at a limit: searching beyond")
         beyond = replace(problem, searched=wider)
         further = method(beyond)
-        if further.evidence.best_start <= found.evidence.best_start:
+        if further.evidence.best_start < found.evidence.best_start - _NOISE:
             break
         problem, found = beyond, further
     return found, _told(start, problem.searched)

@@ -82,18 +82,18 @@ def test_no_range_goes_on_behind_the_detector(pair):
     assert missed == 1850
 
 
-def test_beyond_a_limit_only_a_more_similar_place_counts(pair):
+@pytest.mark.parametrize(("worse", "searches"), [(0.02, 2), (0.0, 5)])
+def test_beyond_a_limit_a_less_similar_place_does_not_count(pair, worse, searches):
     problem = _problem(pair)
     method = Sought(problem.searched.initial + 1)
 
-    def flat(searched):
-        found = method(searched)
-        return replace(
-            found,
-            parameters=searched.searched.upper,
-            evidence=replace(found.evidence, at_limit=("z_s",), best_start=0.5),
-        )
+    def fading(searched):
+        found, best = method(searched), 0.5 - worse * len(method.ranges)
+        evidence = replace(found.evidence, at_limit=("z_s",), best_start=best)
+        return replace(found, parameters=searched.searched.upper, evidence=evidence)
 
-    found, told = searched_on(flat, problem, None)
-    assert len(method.ranges) == 2
-    assert (told, float(found.parameters[Z_S])) == ([], float(problem.searched.upper[Z_S]))
+    found, told = searched_on(fading, problem, None)
+    assert len(method.ranges) == searches
+    assert bool(told) is (worse == 0)
+    last = method.ranges[-1] if told else method.ranges[0]
+    assert float(found.parameters[Z_S]) == float(last.upper[Z_S])
