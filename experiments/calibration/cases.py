@@ -65,10 +65,10 @@ def _evidence(row: dict[str, Any]) -> Evidence:
 def _value(name: str, value: Any) -> Any:
     if name in _LISTS:
         return () if pd.isna(value) else tuple(str(value).split())
-    if name in _TEXTS:
-        return value
     if name in _FLAGS:
         return str(value) == "True"
     if pd.isna(value):
         return None
+    if name in _TEXTS:
+        return str(value)
     return int(value) if name in _COUNTS else float(value)

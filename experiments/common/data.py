@@ -39,11 +39,7 @@ def ct(*, path: str | Path, targets: str | Path | None = None) -> tuple[Volume, 
 def read_targets(path: str | Path, volume: Volume) -> Targets:
     """Named points (LPS mm) of a CT. Raises ``RegtorchError`` where none of them lies in it, as with RAS for LPS."""
     points = read_points(path)
-    patient_from_voxel = volume.patient_from_voxel.double().cpu()
-    places = torch.tensor([*points.values()], dtype=torch.float64).reshape(-1, 3) - patient_from_voxel[:3, 3]
-    voxels = torch.linalg.solve(patient_from_voxel[:3, :3], places.T).T
-    last = torch.tensor(volume.data.shape[::-1]) - 1
-    if points and not ((voxels >= 0) & (voxels <= last)).all(dim=1).any():
+    if points and not bool(volume.holds(torch.tensor([*points.values()], dtype=torch.float64)).any()):
         raise RegtorchError(
             f"{path}: none of its {len(points)} targets lies in the CT, expected LPS mm of the CT's file"
         )

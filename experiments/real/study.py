@@ -10,12 +10,13 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from experiments.common.columns import REGISTRATION, nine_parameters, registration_row
+from experiments.common.data import read_targets
 from experiments.common.loop import Plan, Tell, register_missing, silent, telling
 from experiments.common.table import parse_shard
 from experiments.real.pairs import Pair, read_matrix, read_pairs
 from regtorch.errors import RegtorchError
 from regtorch.evaluation import projection_distances
-from regtorch.formats import read_points, read_radiograph, read_volume
+from regtorch.formats import read_radiograph, read_volume
 from regtorch.geometry import KEYS, free_indices, parameters_to_dict, pixel_from_patient, project
 from regtorch.imaging import Radiograph, Volume
 from regtorch.registration import Registration, initial_parameters, register
@@ -123,13 +124,12 @@ class Study:
 
 
 def _targets(pair: Pair, ct: Volume) -> dict[str, tuple[float, float, float]]:
-    return bone_points(ct) if pair.targets is None else read_points(pair.targets)
+    return bone_points(ct) if pair.targets is None else read_targets(pair.targets, ct)
 
 
 def _half(radiograph: Radiograph, blocks: int, seed: int) -> Bool[Tensor, "rows columns"]:
     """A random half of the image's blocks, of which ``blocks`` lie along its longer side; oriented as in the file."""
-    size = torch.tensor([radiograph.detector.columns, radiograph.detector.rows], dtype=torch.float64)
-    columns, rows = (radiograph.stored_from_pixel[:2, :2].abs() @ size).int().tolist()
+    columns, rows = radiograph.stored_size
     side = -(-max(rows, columns) // blocks)
     down, across = -(-rows // side), -(-columns // side)
     order = torch.randperm(down * across, generator=torch.Generator().manual_seed(seed))

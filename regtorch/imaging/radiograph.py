@@ -60,6 +60,13 @@ class Radiograph:
         """Whether the file shows the image mirrored, as seen towards the source."""
         return float(torch.linalg.det(self.stored_from_pixel)) < 0
 
+    @property
+    def stored_size(self) -> tuple[int, int]:
+        """Columns and rows of the file's image."""
+        size = torch.tensor([self.detector.columns, self.detector.rows], dtype=torch.float64)
+        columns, rows = (self.stored_from_pixel[:2, :2].abs() @ size).int().tolist()
+        return columns, rows
+
 
 def level(radiograph: Radiograph, longest: int) -> Radiograph:
     """One level of the pyramid: the box of pixels with weight, averaged onto at most ``longest`` pixels a side.

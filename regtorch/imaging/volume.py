@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from regtorch.errors import RegtorchError
@@ -72,6 +72,13 @@ class Volume:
         patient_from_ct = torch.eye(4, dtype=torch.float64)
         patient_from_ct[:3, 3] = self.origin_patient_mm
         return torch.linalg.inv(self.patient_from_voxel) @ patient_from_ct
+
+    def holds(self, points_mm: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+        """Whether each point (LPS mm) lies in a voxel."""
+        homogeneous = torch.cat([points_mm.double(), torch.ones(len(points_mm), 1, dtype=torch.float64)], dim=1)
+        voxels = (homogeneous @ torch.linalg.inv(self.patient_from_voxel).mT)[:, :3]
+        size = torch.tensor(self.data.shape[:-4:-1])
+        return ((voxels >= -0.5) & (voxels <= size - 0.5)).all(1)
 
     def with_data(self, data: Float[Tensor, "*c d h w"], **changes: object) -> "Volume":
         """The same grid with other values. Raises ``RegtorchError`` for values of another shape."""

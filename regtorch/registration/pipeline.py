@@ -207,8 +207,7 @@ def _check_radiograph(radiograph: Radiograph) -> None:
 
 def _unstored(radiograph: Radiograph, stored: Point2) -> Point2:
     """(column, row) of the image seen from the source, from (column, row) of the file."""
-    size = torch.tensor([radiograph.detector.columns, radiograph.detector.rows], dtype=torch.float64)
-    columns, rows = (radiograph.stored_from_pixel[:2, :2].abs() @ size).int().tolist()
+    columns, rows = radiograph.stored_size
     if not (-0.5 <= stored[0] <= columns - 0.5 and -0.5 <= stored[1] <= rows - 0.5):
         raise RegtorchError(
             f"{radiograph.name}: landmark at (column, row) ({stored[0]:g}, {stored[1]:g}), "

@@ -4,20 +4,17 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from regtorch.geometry import NAMES, Z_OBJ, Z_S, world_from_ct
 from regtorch.registration.found import Found
 from regtorch.registration.problem import Problem
+from regtorch.registration.trust.limits import LIMITS
 from regtorch.registration.unknowns import Range
 
 _MOVES = 4
 """Most times that the range moves on: 150 mm about an SDD of 1000 mm then reach 2575 mm."""
-
-_NOISE = 0.01
-"""Similarity by which ends of unfinished climbs in one basin differ."""
 
 _SDD_MM = (500.0, 3000.0)
 """Least and largest source-detector distance."""
@@ -37,8 +34,8 @@ def searched_on(
 ) -> tuple[Found, list[str]]:
     """The method's answer, and a line for each parameter whose range moved on to hold it.
 
-    ``given`` holds the half ranges that somebody chose, NaN for others: these alone may move. A search beyond a limit
-    counts unless its best start is less similar; then the answer before it stands, at its limit.
+    ``given`` holds the half ranges that somebody chose, NaN for others: these alone may move. An answer at a limit
+    gives way to one found beyond it, unless its best start is more similar by ``least_gap``.
     """
     found, start = method(problem), problem.searched
     for _ in range(_MOVES):
@@ -46,12 +43,12 @@ def searched_on(
         for index in (NAMES.index(name) for name in found.evidence.at_limit):
             if given is None or bool(given[index].isnan()):
                 wider = _moved_on(problem, wider, index, float(found.parameters[index]))
-        if torch.equal(wider.half_range, problem.searched.half_range):
+        if wider is problem.searched:
             break
         problem.progress(0.0, "the answer lies at a limit: searching beyond")
         beyond = replace(problem, searched=wider)
         further = method(beyond)
-        if further.evidence.best_start < found.evidence.best_start - _NOISE:
+        if found.evidence.best_start - further.evidence.best_start >= LIMITS.least_gap:
             break
         problem, found = beyond, further
     return found, _told(start, problem.searched)
@@ -85,8 +82,9 @@ def _possible(problem: Problem, index: int) -> tuple[float, float]:
 def _told(start: Range, last: Range) -> list[str]:
     lines = []
     for index, name in enumerate(NAMES):
-        if not torch.equal(start.half_range[index], last.half_range[index]):
+        low, high = float(last.lower[index]), float(last.upper[index])
+        if (low, high) != (float(start.lower[index]), float(start.upper[index])):
             unit, factor = ("mm", 1.0) if index <= Z_OBJ else ("degrees", math.degrees(1))
-            low, high = (factor * float(limit[index]) for limit in (last.lower, last.upper))
-            lines.append(f"{name} at the limit of its default range: searched on from {low:.0f} to {high:.0f} {unit}")
+            reach = f"{factor * low:.0f} to {factor * high:.0f} {unit}"
+            lines.append(f"{name} at the limit of its default range: searched on from {reach}")
     return lines

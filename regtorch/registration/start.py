@@ -83,8 +83,5 @@ def _check_inside(ct: Volume, detector: Detector, point: Point3, pixel: Point2) 
             f"landmark at (column, row) ({column:g}, {row:g}): expected it inside the image of "
             f"{detector.columns} x {detector.rows} pixels"
         )
-    homogeneous = torch.tensor([*point, 1], dtype=torch.float64)
-    i, j, k = (torch.linalg.inv(ct.patient_from_voxel) @ homogeneous)[:3].tolist()
-    depth, height, width = ct.data.shape
-    if not (-0.5 <= i <= width - 0.5 and -0.5 <= j <= height - 0.5 and -0.5 <= k <= depth - 0.5):
+    if not bool(ct.holds(torch.tensor([point], dtype=torch.float64))):
         raise RegtorchError(f"landmark at {point} mm (LPS): expected it inside {ct.name}")

@@ -75,6 +75,8 @@ def process_for_presentation(
     if bits is not None:
         image = _stored(image, inverted, 2**bits - 1)
     low, high = image.amin(), image.amax()
+    if not high > low:
+        raise RegtorchError(f"image of one grey in {bits} bits: expected a radiograph to process for presentation")
     return ((image - low) / (high - low)).to(line_integrals)
 
 

@@ -238,6 +238,22 @@ def test_bad_seeds_and_half_ranges_are_refused(pair):
             register(pair.ct, pair.radiograph, "PA", **{name: torch.full((9,), wrong)})
 
 
+def test_a_default_range_gives_way_and_the_result_says_so(pair):
+    def at_the_end(problem):
+        found, limit = Told()(problem), problem.searched.upper
+        evidence = replace(found.evidence, at_limit=("z_s",) if limit[2] < 1400 else ())
+        return replace(found, parameters=limit, evidence=evidence)
+
+    moved = register(pair.ct, pair.radiograph, "PA", method=at_the_end)
+    assert float(moved.parameters[2]) > 1400
+    assert any(line.startswith("z_s at the limit of its default range: searched on") for line in moved.warnings)
+    assert float(moved.initial[2]) == 1000
+    kept = register(pair.ct, pair.radiograph, "PA", method=at_the_end, half_range=torch.tensor(SEARCH))
+    assert float(kept.parameters[2]) == 1150
+    assert not any("default range" in line for line in kept.warnings)
+    assert [reason.code for reason in kept.reasons] == ["at_limit"]
+
+
 def test_a_half_range_that_is_no_number_is_the_default(pair):
     given = torch.full((9,), torch.nan)
     given[:3] = 0

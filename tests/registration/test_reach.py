@@ -10,6 +10,7 @@ import torch
 from regtorch.registration.found import Found
 from regtorch.registration.reach import searched_on
 from regtorch.registration.trust.evidence import measure
+from regtorch.registration.trust.limits import LIMITS
 
 Z_S, Z_OBJ, PHI = 2, 5, 8
 
@@ -82,8 +83,8 @@ def test_no_range_goes_on_behind_the_detector(pair):
     assert missed == 1850
 
 
-@pytest.mark.parametrize(("worse", "searches"), [(0.02, 2), (0.0, 5)])
-def test_beyond_a_limit_a_less_similar_place_does_not_count(pair, worse, searches):
+@pytest.mark.parametrize(("worse", "searches"), [(LIMITS.least_gap + 1e-6, 2), (LIMITS.least_gap / 5, 5)])
+def test_beyond_a_limit_a_clearly_less_similar_place_does_not_count(pair, worse, searches):
     problem = _problem(pair)
     method = Sought(problem.searched.initial + 1)
 
@@ -94,6 +95,6 @@ def test_beyond_a_limit_a_less_similar_place_does_not_count(pair, worse, searche
 
     found, told = searched_on(fading, problem, None)
     assert len(method.ranges) == searches
-    assert bool(told) is (worse == 0)
+    assert bool(told) is (searches == 5)
     last = method.ranges[-1] if told else method.ranges[0]
     assert float(found.parameters[Z_S]) == float(last.upper[Z_S])

@@ -98,7 +98,9 @@ def test_each_limit_lets_its_own_value_pass(code):
     assert judge(replace(GOOD, **HELD[code]))[0] == "ok"
 
 
-@pytest.mark.parametrize("name", ["mirrored", "gap", "gain", "expected_mm", "runner_up_mm", "sdd_deviation"])
+@pytest.mark.parametrize(
+    "name", ["mirrored", "gap", "gain", "expected_mm", "runner_up_mm", "sdd_deviation", "behind_mm"]
+)
 def test_a_number_that_was_not_measured_breaks_nothing(name):
     evidence = replace(GOOD, **{name: None}, **({"agreeing": 6} if name == "gap" else {}))
     assert judge(evidence)[0] == "ok"

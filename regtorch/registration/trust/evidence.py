@@ -66,11 +66,11 @@ class Evidence:
     looks: int
     """Times that the search looked: 1, or more where the answer did not convince."""
 
-    behind_mm: float = 0.0
+    behind_mm: float | None = None
     """How far the anatomy in the image reaches behind the detector, mm; 0 where all of it is before the detector."""
 
-    tissue: Literal["bone", "all tissue"] = "bone"
-    """The tissue whose DRR the answer and its covariance rest on."""
+    tissue: str | None = None
+    """``bone`` or ``all tissue``: the tissue whose DRR the answer and its covariance rest on."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as written to ``result.json`` and to the tables of studies."""

@@ -70,7 +70,7 @@ RULES = (
     Rule(
         "behind_detector",
         "doubtful",
-        lambda e, limits: e.behind_mm > limits.most_behind_mm,
+        lambda e, limits: e.behind_mm is not None and e.behind_mm > limits.most_behind_mm,
         "anatomy {behind_mm:.0f} mm behind the detector: pixel size, SDD or place must be wrong",
     ),
     Rule(
