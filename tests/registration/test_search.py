@@ -160,6 +160,14 @@ def test_what_bone_does_not_explain_may_be_soft_tissue(pair):
         assert explained(whole, end) is known
 
 
+@pytest.mark.parametrize(("threshold_hu", "tissue"), [(100.0, "bone"), (None, "all tissue")])
+def test_the_evidence_names_the_tissue_that_answered(pair, threshold_hu, tissue):
+    image = simulate(pair.ct, pair.truth.parameters, "PA", detector=DETECTOR, threshold_hu=threshold_hu).image
+    settings = {"initial": pair.truth.parameters + FAR / 4, "half_range": HALF_RANGE}
+    found = register(pair.ct, Radiograph.from_image(image, DETECTOR), "PA", method=SMALL, **settings)
+    assert found.evidence.tissue == tissue
+
+
 def test_bone_no_denser_than_the_threshold_is_found(pair):
     """Such bone has no contrast to soft tissue that is only slightly less dense."""
     hu = pair.ct.data

@@ -164,6 +164,13 @@ def _written(folder: Path) -> None:
     pd.DataFrame(rows, columns=real.COLUMNS).to_csv(folder / "registrations.csv", index=False)
 
 
+def test_the_modal_answer_is_where_most_are_and_in_their_middle():
+    """The lonely one has no distance from itself, so the mean distance alone would choose it."""
+    places = [0.0, 1.0, 1.4, 90.0]
+    rows = pd.DataFrame({"arm": "9-DOF", "half": None, "similarity": 0.8, "targets_mm": [f"{x} 0" for x in places]})
+    assert spread.from_modal(rows) == pytest.approx([1, 0, 0.4, 89])
+
+
 def test_figures_need_no_torch_and_say_what_the_table_holds(tmp_path):
     _written(tmp_path)
     code = "import sys, pathlib; from experiments.real.figures import write; write(pathlib.Path(sys.argv[1])); "

@@ -16,6 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from PIL import Image
 
+from experiments.common.machine import MACHINE, machine
 from experiments.search import figures
 from experiments.search import study as search
 from regtorch.errors import RegtorchError
@@ -63,6 +64,7 @@ def test_rows_are_appended_once_and_a_second_start_does_what_is_missing(ct, tmp_
     first = table.read_bytes()
     (row,) = _rows(table)
     assert tuple(row) == search.COLUMNS
+    assert {name: row[name] for name in MACHINE} == machine()
     assert [row[key] for key in search.KEY] == ["one.nii.gz", "PA", "matched", "0"]
     assert float(row["initial_pde_mm"]) > 20
     assert row["status"] in ("ok", "doubtful", "failed")
