@@ -137,6 +137,8 @@ def spread_figure(rows: pd.DataFrame) -> mpl.figure.Figure:
         axes.set_title(arm if rows["pair"].nunique() == 1 else f"{pair}: {arm}", fontsize=10)
     for axes in panels.flat[len(groups) :]:
         axes.set_visible(False)
+    for axes in panels.flat[max(0, len(groups) - _COLUMNS) : len(groups)]:
+        axes.tick_params(labelbottom=True)
     handles, labels = panels.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     figure.supxlabel("distance from the modal answer (mm)", fontsize=11)

@@ -35,7 +35,8 @@ def searched_on(
     """The method's answer, and a line for each parameter whose range moved on to hold it.
 
     ``given`` holds the half ranges that somebody chose, NaN for others: these alone may move. An answer at a limit
-    gives way to one found beyond it, unless its best start is more similar by ``least_gap``.
+    gives way to one found beyond it, unless its best start is more similar by ``least_gap``. Where nothing matches, no
+    range moves.
     """
     found, start = method(problem), problem.searched
     for _ in range(_MOVES):
@@ -43,7 +44,7 @@ def searched_on(
         for index in (NAMES.index(name) for name in found.evidence.at_limit):
             if given is None or bool(given[index].isnan()):
                 wider = _moved_on(problem, wider, index, float(found.parameters[index]))
-        if wider is problem.searched:
+        if wider is problem.searched or found.evidence.best_start < LIMITS.least_similarity:
             break
         problem.progress(0.0, "the answer lies at a limit: searching beyond")
         beyond = replace(problem, searched=wider)

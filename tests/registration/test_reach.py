@@ -24,7 +24,7 @@ class Sought:
     def __call__(self, problem):
         self.ranges.append(problem.searched)
         found = problem.searched.clamped(self.place)
-        similarity = 1 / (2 + float((found - self.place).abs().max()))
+        similarity = 1 / (2 + float((found - self.place).abs().max()) / 1000)
         each = torch.full((2,), similarity, dtype=torch.float64)
         starts = found.repeat(2, 1)
         evidence = measure(problem, found, similarity, starts, each, comparable=True)
@@ -98,3 +98,15 @@ def test_beyond_a_limit_a_clearly_less_similar_place_does_not_count(pair, worse,
     assert bool(told) is (searches == 5)
     last = method.ranges[-1] if told else method.ranges[0]
     assert float(found.parameters[Z_S]) == float(last.upper[Z_S])
+
+
+def test_no_range_moves_where_nothing_matches(pair):
+    problem = _problem(pair)
+    method = Sought(problem.searched.initial + 800)
+
+    def unlike(searched):
+        found = method(searched)
+        return replace(found, evidence=replace(found.evidence, best_start=LIMITS.least_similarity - 1e-6))
+
+    assert searched_on(unlike, problem, None)[1] == []
+    assert len(method.ranges) == 1
